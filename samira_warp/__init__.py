@@ -1,0 +1,25 @@
+"""Relightable, animatable Gaussian head avatars from a tracked monocular video."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+__version__ = "0.1.0"
+__all__ = ["Avatar", "Camera", "Environment", "UserError", "__version__"]
+
+if TYPE_CHECKING:
+    from samira_warp.avatar import Avatar
+    from samira_warp.camera import Camera
+    from samira_warp.errors import UserError
+    from samira_warp.light import Environment
+
+_HOMES = {"Avatar": "avatar", "Camera": "camera", "Environment": "light", "UserError": "errors"}
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name on first use, so that ``import samira_warp`` itself loads neither torch nor Warp."""
+    import importlib
+
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(f"samira_warp.{_HOMES[name]}"), name)

@@ -1,0 +1,21 @@
+"""The avatar and its parts."""
+
+from samira_warp.avatar.avatar import Avatar, AvatarSettings, Motion, Rendering, conditions_of, shade_gbuffer
+from samira_warp.avatar.canonical import CanonicalHead
+from samira_warp.avatar.gaussians import Gaussians
+from samira_warp.avatar.gbuffer import GBuffer, SurfaceAttributes
+from samira_warp.avatar.uv_sampling import geometry_uv
+
+__all__ = [
+    "Avatar",
+    "AvatarSettings",
+    "CanonicalHead",
+    "GBuffer",
+    "Gaussians",
+    "Motion",
+    "Rendering",
+    "SurfaceAttributes",
+    "conditions_of",
+    "geometry_uv",
+    "shade_gbuffer",
+]

@@ -1,0 +1,287 @@
+"""The avatar: one head's Gaussians, motion, materials and light, and the way from head parameters to an image."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+import torch
+from torch import nn
+
+from samira_warp.avatar.canonical import CanonicalHead, neck_rotation
+from samira_warp.avatar.gaussians import Gaussians
+from samira_warp.avatar.gbuffer import GBuffer, SurfaceAttributes, render_gbuffer
+from samira_warp.avatar.residual import axis_angle_to_quaternion, limit_residual, quaternion_product
+from samira_warp.avatar.response import response_factors, response_map
+from samira_warp.avatar.storage import find_avatar, read_avatar, write_avatar
+from samira_warp.camera import Camera
+from samira_warp.constants import COVERED_ALPHA
+from samira_warp.head import REGIONS, FrameParameters, PosedHead, UvAtlas
+from samira_warp.kernels.binding import BoundGaussians, FaceBinding, bind
+from samira_warp.kernels.gather import GatherTable, bilinear_table, gather
+from samira_warp.kernels.triangle_frames import triangle_frames
+from samira_warp.light import Environment, FilteredLight, LearnableLight, Shaded, compose, shade
+from samira_warp.nets import Conditions, ConditionStatistics, MotionNetwork, MotionSettings
+
+DISPLACEMENT_UNIT = 0.01
+"""Metres; expressions move the skin by a few millimetres, so D_uv in this unit is about one."""
+
+POSE_SIZE = 15
+"""Rotation, neck and jaw, three each, and six for the eyes."""
+
+
+@dataclass(frozen=True)
+class AvatarSettings:
+    """What an avatar is made of; saved with it.
+
+    Attributes:
+        uv_size: Width and height of the UV maps.
+        motion: Sizes and variants of the motion network.
+        residual: Refine mesh binding by the motion network (Eq. final_motion).
+        response: Learn semantic response factors; False keeps tau = 1.
+        displacement_frame: "head" removes the neck joint's motion from D_uv; "world" is the literal Eq. uv_displacement.
+        residual_frame: Axes of the residual: "world" is Eq. final_motion; "head" turns with the neck joint.
+        color_space: "srgb" shades in linear light and encodes; "raw" shades in image values.
+    """
+
+    uv_size: int = 256
+    motion: MotionSettings = field(default_factory=MotionSettings)
+    residual: bool = True
+    response: bool = True
+    displacement_frame: Literal["head", "world"] = "head"
+    residual_frame: Literal["world", "head"] = "world"
+    color_space: Literal["srgb", "raw"] = "srgb"
+
+
+class Motion(NamedTuple):
+    """One frame's Gaussians in world space, and what moved them.
+
+    Attributes:
+        head: The posed mesh M_t.
+        gaussians: Means, quaternions and scales after the residual; normals before it (Eq. normal_transform).
+        residual_position: (H, W, 3) UV map, metres; zero without a residual.
+        residual_rotation: (H, W, 3) UV map, axis-angle radians.
+    """
+
+    head: PosedHead
+    gaussians: BoundGaussians
+    residual_position: torch.Tensor
+    residual_rotation: torch.Tensor
+
+
+@dataclass(frozen=True)
+class Rendering:
+    """One rendered frame.
+
+    Attributes:
+        image: (H, W, 3) display values.
+        gbuffer: Surface attributes behind it.
+        irradiance: (H, W, 3) L_d, linear.
+        specular_light: (H, W, 3) L_s, linear.
+        motion: The Gaussians behind the G-buffer.
+    """
+
+    image: torch.Tensor
+    gbuffer: GBuffer
+    irradiance: torch.Tensor
+    specular_light: torch.Tensor
+    motion: Motion
+
+
+class Avatar(nn.Module):
+    """A relightable, animatable head: head parameters, a camera and a light in, an image out.
+
+    Attributes:
+        canonical: The subject's head at rest.
+        settings: What the avatar is made of.
+        gaussians: The mesh-bound Gaussians; replace them with `set_gaussians`.
+        motion: The semantic-adaptive motion network.
+        statistics: Mean and deviation of the training frames' conditions.
+        response_logits: (K, 2) l_k of Eq. region_response.
+        light: The learned capture light.
+    """
+
+    def __init__(
+        self,
+        canonical: CanonicalHead,
+        settings: AvatarSettings,
+        *,
+        gaussians: Gaussians,
+        image_features: list[torch.Tensor],
+        statistics: ConditionStatistics,
+        light: LearnableLight,
+    ) -> None:
+        super().__init__()
+        self.canonical, self.settings = canonical, settings
+        self.motion = MotionNetwork(
+            settings.motion,
+            reference_positions=_to_unit_cube(canonical.positions).permute(2, 0, 1),
+            image_features=image_features,
+            masks=_one_hot_masks(canonical.atlas),
+            expression_size=canonical.template.n_expression,
+            pose_size=POSE_SIZE,
+        )
+        self.statistics = statistics
+        self.response_logits = nn.Parameter(torch.zeros(len(REGIONS), 2))
+        self.light = light
+        self.set_gaussians(gaussians)
+
+    def set_gaussians(self, gaussians: Gaussians) -> None:
+        """Replace the Gaussians and rebuild the tables that depend on their faces and UV coordinates."""
+        self.gaussians = gaussians
+        size = self.settings.uv_size
+        self.binding = FaceBinding.build(gaussians.faces, len(self.canonical.topology.faces))
+        self.uv_samples: GatherTable = bilinear_table(gaussians.uv, width=size, height=size)
+
+    def _apply(self, function: Callable[[torch.Tensor], torch.Tensor], recurse: bool = True) -> Avatar:
+        """Move the constant tables along with the parameters (torch's hook behind ``to``)."""
+        super()._apply(function, recurse)
+        self.canonical = self.canonical.to(self.gaussians.means.device)
+        self.set_gaussians(self.gaussians)
+        return self
+
+    def move(self, parameters: FrameParameters) -> Motion:
+        """Mesh binding (Eq. lbs) refined by the semantic-adaptive residual (Eqs. uv_displacement to final_motion)."""
+        head = self.canonical.pose(parameters)
+        frames = triangle_frames(head.vertices, self.canonical.topology)
+        g = self.gaussians
+        bound = bind(g.means, g.quaternions, g.scales, g.normals, self.binding, frames)
+        if not self.settings.residual:
+            nothing = torch.zeros_like(self.canonical.positions)
+            return Motion(head, bound, nothing, nothing)
+        displacement = self.canonical.displacement(head, in_head=self.settings.displacement_frame == "head") / DISPLACEMENT_UNIT
+        residual = self.motion(displacement.permute(2, 0, 1), self.statistics(conditions_of(parameters)))
+        residual = self.canonical.atlas.dilate(residual.permute(1, 2, 0))
+        sampled = gather(residual.reshape(-1, residual.shape[-1]), self.uv_samples)
+        position, rotation = limit_residual(sampled)
+        if self.settings.residual_frame == "head":
+            axes = neck_rotation(head).T
+            position, rotation = position @ axes, rotation @ axes
+        refined = bound._replace(
+            means=bound.means + position,
+            quaternions=quaternion_product(axis_angle_to_quaternion(rotation), bound.quaternions),
+        )
+        return Motion(head, refined, *limit_residual(residual))
+
+    def surface(self, motion: Motion) -> SurfaceAttributes:
+        """Materials, world-space normals and sampled response factors of every Gaussian."""
+        g = self.gaussians
+        if self.settings.response:
+            factors = response_map(response_factors(self.response_logits), self.canonical.atlas.soft_masks)
+            response = gather(factors.reshape(-1, 2), self.uv_samples)
+        else:
+            response = torch.ones(len(g), 2, device=g.means.device)
+        diffuse, specular = response.split(1, dim=1)
+        return SurfaceAttributes(g.albedo, motion.gaussians.normals, g.roughness[:, None], g.specular[:, None], diffuse, specular)
+
+    def rasterize(self, motion: Motion, camera: Camera) -> GBuffer:
+        """The G-buffer of moved Gaussians."""
+        moved = motion.gaussians
+        return render_gbuffer(moved.means, moved.quaternions, moved.scales, self.gaussians.opacities, self.surface(motion), camera)
+
+    def render(
+        self,
+        parameters: FrameParameters,
+        camera: Camera,
+        environment: Environment | FilteredLight | None = None,
+        *,
+        background: torch.Tensor | float = 1.0,
+        exposure: float = 1.0,
+    ) -> Rendering:
+        """Render one frame.
+
+        Args:
+            parameters: The head's pose and expression.
+            camera: The view.
+            environment: The light; None is the learned capture light. Filter an environment once (`Environment.filtered`) to reuse it.
+            background: Display values behind the head: a number or (H, W, 3).
+            exposure: Factor on the shaded linear colour.
+        """
+        motion = self.move(parameters)
+        gbuffer = self.rasterize(motion, camera)
+        light = environment.filtered() if isinstance(environment, Environment) else environment or self.light()
+        return self.shade(motion, gbuffer, camera, light, background=background, exposure=exposure)
+
+    def shade(
+        self,
+        motion: Motion,
+        gbuffer: GBuffer,
+        camera: Camera,
+        light: FilteredLight,
+        *,
+        background: torch.Tensor | float = 1.0,
+        exposure: float = 1.0,
+    ) -> Rendering:
+        """Deferred shading and compositing of a G-buffer (Eqs. response_shading to alpha_compose)."""
+        shaded = shade_gbuffer(gbuffer, camera, light)
+        covered = gbuffer.alpha >= COVERED_ALPHA
+        color = torch.where(covered, shaded.color, torch.zeros_like(shaded.color))
+        image = compose(color, gbuffer.alpha, background, exposure=exposure, color_space=self.settings.color_space)
+        return Rendering(image, gbuffer, shaded.irradiance, shaded.specular_light, motion)
+
+    def save(self, folder: Path, *, record: dict[str, Any]) -> None:
+        """Write the avatar's files into an existing folder: all that rendering needs, no pickle.
+
+        Args:
+            folder: Where.
+            record: How it was made, as plain JSON values.
+        """
+        template = self.canonical.template
+        tensors = {**self.state_dict(), "shape": self.canonical.shape}
+        if self.canonical.static_offset is not None:
+            tensors["static_offset"] = self.canonical.static_offset
+        write_avatar(folder, settings=self.settings, record=record, tensors=tensors, template=template)
+
+    @classmethod
+    def load(cls, path: str | Path, *, device: torch.device | str = "cpu") -> Avatar:
+        """Load an avatar from its folder, or from the run folder that it is in.
+
+        Raises:
+            UserError: A file is missing, broken, or of another format.
+        """
+        stored = read_avatar(find_avatar(Path(path)), device="cpu")
+        settings = AvatarSettings(**{**stored.settings, "motion": MotionSettings(**stored.settings["motion"])})
+        tensors = dict(stored.tensors)
+        canonical = CanonicalHead.build(
+            stored.template, shape=tensors.pop("shape"), static_offset=tensors.pop("static_offset", None), uv_size=settings.uv_size
+        )
+        prefix = "motion.image_features_"
+        levels = sorted(name for name in tensors if name.startswith(prefix))
+        avatar = cls(
+            canonical,
+            settings,
+            gaussians=Gaussians({name: tensors[f"gaussians.{name}"] for name in (*Gaussians.PARAMETERS, *Gaussians.CONSTANTS)}),
+            image_features=[tensors[name] for name in levels],
+            statistics=ConditionStatistics(expression_size=stored.template.n_expression, pose_size=POSE_SIZE),
+            light=LearnableLight(torch.ones(3)),
+        )
+        avatar.load_state_dict(tensors)
+        return avatar.to(device)
+
+
+def conditions_of(parameters: FrameParameters) -> Conditions:
+    """The network's conditions of one frame, as they came."""
+    pose = torch.cat([parameters.rotation, parameters.neck, parameters.jaw, parameters.eyes])
+    return Conditions(parameters.translation, parameters.expression, pose)
+
+
+def shade_gbuffer(gbuffer: GBuffer, camera: Camera, light: FilteredLight) -> Shaded:
+    """Shade every pixel of a G-buffer; the maps of the result are (H, W, 3)."""
+    view = -camera.ray_directions()
+    flat = {name: getattr(gbuffer, name).flatten(0, 1) for name in SurfaceAttributes._fields}
+    shaded = shade(**flat, view=view.flatten(0, 1), light=light)
+    return Shaded(*(value.unflatten(0, gbuffer.alpha.shape[:2]) for value in shaded))
+
+
+def _to_unit_cube(positions: torch.Tensor) -> torch.Tensor:
+    """Scale a position map uniformly into [-1, 1] about its centre."""
+    low, high = positions.amin(dim=(0, 1)), positions.amax(dim=(0, 1))
+    return 2.0 * (positions - 0.5 * (low + high)) / (high - low).max()
+
+
+def _one_hot_masks(atlas: UvAtlas) -> torch.Tensor:
+    """(K, H, W) disjoint routing masks of 0 and 1."""
+    regions = torch.arange(len(REGIONS), device=atlas.region.device)
+    return (atlas.region[None] == regions[:, None, None]).float()

@@ -1,0 +1,68 @@
+"""The frames that an avatar was made from, kept with it, so that it renders without its dataset."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+
+from samira_warp.camera import Camera
+from samira_warp.errors import UserError
+from samira_warp.head import FrameParameters
+
+FRAMES_FILE = "frames.safetensors"
+
+FIELDS = ("translation", "rotation", "neck", "jaw", "eyes", "expression")
+"""What is stored of a frame's parameters; offsets are the avatar's own."""
+
+
+class DrivingFrame(NamedTuple):
+    """What drives an avatar in one frame.
+
+    Attributes:
+        name: Stem of the output files.
+        parameters: The head's pose and expression.
+        camera: The view.
+        part: "train" or "test".
+    """
+
+    name: str
+    parameters: FrameParameters
+    camera: Camera
+    part: str
+
+
+def write_frames(folder: Path, frames: list[DrivingFrame]) -> None:
+    """Write frames into an existing avatar folder."""
+    tensors = {name: torch.stack([getattr(frame.parameters, name).detach().cpu() for frame in frames]) for name in FIELDS}
+    cameras = [frame.camera for frame in frames]
+    tensors["world_to_camera"] = torch.stack([camera.world_to_camera.cpu() for camera in cameras])
+    intrinsics = [[camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height] for camera in cameras]
+    tensors["intrinsics"] = torch.tensor(intrinsics, dtype=torch.float64)
+    names = {"names": "\n".join(frame.name for frame in frames), "parts": "\n".join(frame.part for frame in frames)}
+    save_file({name: value.contiguous() for name, value in tensors.items()}, folder / FRAMES_FILE, metadata=names)
+
+
+def read_frames(folder: Path) -> list[DrivingFrame]:
+    """Read the frames of an avatar folder, on the CPU.
+
+    Raises:
+        UserError: The file is missing or broken.
+    """
+    path = folder / FRAMES_FILE
+    try:
+        with safe_open(path, framework="pt") as file:
+            metadata: dict[str, Any] = file.metadata() or {}
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - no mapping
+    except (OSError, SafetensorError) as error:
+        raise UserError(path, expected="the avatar's frames", found=error) from error
+    names, parts = metadata["names"].split("\n"), metadata["parts"].split("\n")
+    frames = []
+    for row, (name, part) in enumerate(zip(names, parts, strict=True)):
+        fx, fy, cx, cy, width, height = tensors["intrinsics"][row].tolist()
+        camera = Camera(tensors["world_to_camera"][row], fx, fy, cx, cy, int(width), int(height))
+        frames.append(DrivingFrame(name, FrameParameters(**{field: tensors[field][row] for field in FIELDS}), camera, part))
+    return frames

@@ -1,0 +1,141 @@
+"""The mesh-bound Gaussians: geometry in their triangle's frame, materials, and where each sits in the UV atlas."""
+
+from __future__ import annotations
+
+import torch
+from torch import nn
+
+from samira_warp.constants import ROUGHNESS_MIN
+
+SPECULAR_RANGE = (0.02, 0.15)
+"""Reflectance at normal incidence: water is 0.02, skin 0.028 to 0.045, and nothing on a head beyond 0.15 is a dielectric."""
+
+ROUGHNESS_RANGE = (ROUGHNESS_MIN, 1.0)
+"""Eyes glint at the lower end."""
+
+INITIAL_ROUGHNESS = 0.5
+INITIAL_SPECULAR = 0.035
+"""Skin's reflectance; the roughness above is the middle of what skin shows."""
+
+
+class Gaussians(nn.Module):
+    """N Gaussians bound to faces, as learnable parameters in unconstrained form.
+
+    Attributes:
+        means: (N, 3) centres in the triangle's frame, in units of its scale k.
+        log_scales: (N, 3) logarithm of the standard deviations in units of k.
+        quaternions: (N, 4) w, x, y, z of the rotation in the triangle's frame, any length.
+        opacity_logits: (N,).
+        albedo_logits: (N, 3) of linear albedo in 0..1.
+        roughness_logits: (N,) within ROUGHNESS_RANGE.
+        specular_logits: (N,) within SPECULAR_RANGE.
+        normals: (N, 3) canonical normals n^c in the triangle's frame, any length.
+        initial_normals: (N, 3) unit mesh-frame normals n^m, constant.
+        faces: (N,) int32 face of each Gaussian, constant between density control events.
+        uv: (N, 2) u_i of Alg. 1 (u right, v up), constant between refreshes.
+    """
+
+    PARAMETERS = (
+        "means",
+        "log_scales",
+        "quaternions",
+        "opacity_logits",
+        "albedo_logits",
+        "roughness_logits",
+        "specular_logits",
+        "normals",
+    )
+    CONSTANTS = ("initial_normals", "faces", "uv")
+
+    def __init__(self, values: dict[str, torch.Tensor]) -> None:
+        """Take the tensors named by PARAMETERS and CONSTANTS."""
+        super().__init__()
+        for name in self.PARAMETERS:
+            self.register_parameter(name, nn.Parameter(values[name].contiguous()))
+        for name in self.CONSTANTS:
+            self.register_buffer(name, values[name].contiguous())
+
+    def __len__(self) -> int:
+        """N."""
+        return len(self.means)
+
+    @property
+    def scales(self) -> torch.Tensor:
+        """(N, 3) standard deviations in units of the triangle's k."""
+        return self.log_scales.exp()
+
+    @property
+    def opacities(self) -> torch.Tensor:
+        """(N,) in 0..1."""
+        return self.opacity_logits.sigmoid()
+
+    @property
+    def albedo(self) -> torch.Tensor:
+        """(N, 3) linear, 0..1."""
+        return self.albedo_logits.sigmoid()
+
+    @property
+    def roughness(self) -> torch.Tensor:
+        """(N,) perceptual roughness rho; GGX's alpha is its square."""
+        low, high = ROUGHNESS_RANGE
+        return low + (high - low) * self.roughness_logits.sigmoid()
+
+    @property
+    def specular(self) -> torch.Tensor:
+        """(N,) reflectance at normal incidence f."""
+        low, high = SPECULAR_RANGE
+        return low + (high - low) * self.specular_logits.sigmoid()
+
+    def tensors(self) -> dict[str, torch.Tensor]:
+        """Every parameter's and constant's current value, detached, by name."""
+        return {name: getattr(self, name).detach() for name in (*self.PARAMETERS, *self.CONSTANTS)}
+
+    @classmethod
+    def start(
+        cls,
+        *,
+        means: torch.Tensor,
+        scales: torch.Tensor,
+        normals: torch.Tensor,
+        albedo: torch.Tensor,
+        faces: torch.Tensor,
+        uv: torch.Tensor,
+        opacity: float,
+    ) -> Gaussians:
+        """Gaussians of given geometry and albedo, with the initial materials and no rotation.
+
+        Args:
+            means: (N, 3) in the triangle's frame.
+            scales: (N, 3) positive, in units of k.
+            normals: (N, 3) unit, in the triangle's frame.
+            albedo: (N, 3) linear.
+            faces: (N,) int32.
+            uv: (N, 2).
+            opacity: The common initial opacity.
+        """
+        count = len(means)
+        identity = torch.zeros(count, 4, device=means.device)
+        identity[:, 0] = 1.0
+        return cls(
+            {
+                "means": means,
+                "log_scales": scales.log(),
+                "quaternions": identity,
+                "opacity_logits": torch.full((count,), _logit(opacity), device=means.device),
+                "albedo_logits": torch.logit(albedo.clamp(0.01, 0.99)),
+                "roughness_logits": torch.full((count,), _range_logit(INITIAL_ROUGHNESS, ROUGHNESS_RANGE), device=means.device),
+                "specular_logits": torch.full((count,), _range_logit(INITIAL_SPECULAR, SPECULAR_RANGE), device=means.device),
+                "normals": normals.clone(),
+                "initial_normals": normals,
+                "faces": faces,
+                "uv": uv,
+            }
+        )
+
+
+def _logit(value: float) -> float:
+    return float(torch.logit(torch.tensor(value, dtype=torch.float64)))
+
+
+def _range_logit(value: float, bounds: tuple[float, float]) -> float:
+    return _logit((value - bounds[0]) / (bounds[1] - bounds[0]))

@@ -1,0 +1,54 @@
+"""The pinhole camera."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera with OpenCV axes (x right, y down, z forward); pixel centres lie at +0.5.
+
+    Attributes:
+        world_to_camera: (4, 4) float32 rigid transform, metres.
+        fx: Focal length in pixels along x.
+        fy: Focal length in pixels along y.
+        cx: Principal point in pixels from the left edge.
+        cy: Principal point in pixels from the top edge.
+        width: W, pixels.
+        height: H, pixels.
+    """
+
+    world_to_camera: torch.Tensor
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    width: int
+    height: int
+
+    def resized(self, *, width: int, height: int) -> Camera:
+        """The same view on a grid of another size."""
+        sx, sy = width / self.width, height / self.height
+        return replace(self, fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx, cy=self.cy * sy, width=width, height=height)
+
+    def to(self, device: torch.device | str) -> Camera:
+        """The same camera with its transform on ``device``."""
+        return replace(self, world_to_camera=self.world_to_camera.to(device))
+
+    @property
+    def center(self) -> torch.Tensor:
+        """(3,) camera centre in world space, metres."""
+        rotation, translation = self.world_to_camera[:3, :3], self.world_to_camera[:3, 3]
+        return -rotation.T @ translation
+
+    def ray_directions(self) -> torch.Tensor:
+        """(H, W, 3) unit directions in world space from the camera through each pixel centre."""
+        options = {"dtype": self.world_to_camera.dtype, "device": self.world_to_camera.device}
+        x = (torch.arange(self.width, **options) + 0.5 - self.cx) / self.fx
+        y = (torch.arange(self.height, **options) + 0.5 - self.cy) / self.fy
+        y, x = torch.meshgrid(y, x, indexing="ij")
+        in_camera = torch.stack([x, y, torch.ones_like(x)], dim=-1)
+        return torch.nn.functional.normalize(in_camera @ self.world_to_camera[:3, :3], dim=-1)

@@ -1,0 +1,1 @@
+"""Checking a dataset folder before anything is trained on it."""

@@ -1,0 +1,42 @@
+"""What every verb's command line shares: typed options, and one line instead of a traceback for a user's mistake."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from typing import TypeVar
+
+import tyro
+
+from samira_warp.errors import UserError
+
+Config = TypeVar("Config")
+
+STATUS_MISTAKE = 2
+"""Exit status for input that cannot be used or output that cannot be written, and for a wrong option."""
+
+STATUS_INTERRUPTED = 130
+"""Exit status after Ctrl-C, as shells have it."""
+
+
+def run(main: Callable[[Config], None], config_type: type[Config], *, program: str, arguments: Sequence[str] | None = None) -> int:
+    """Parse the command line into ``config_type`` and run ``main`` with it.
+
+    Args:
+        main: The verb.
+        config_type: A dataclass whose docstring describes the verb and whose fields are its options.
+        program: How the verb is called, for the help, such as "python -m samira_warp.train".
+        arguments: The options instead of those of the process.
+
+    Returns:
+        The exit status: 0; 2 after one line on standard error, for a user's mistake or a file that cannot be written; 130 after Ctrl-C.
+    """
+    config = tyro.cli(config_type, prog=program, args=arguments)
+    try:
+        main(config)
+    except (UserError, OSError) as mistake:
+        print(f"error: {' '.join(str(mistake).split())}", file=sys.stderr)
+        return STATUS_MISTAKE
+    except KeyboardInterrupt:
+        return STATUS_INTERRUPTED
+    return 0

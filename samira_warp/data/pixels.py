@@ -1,0 +1,94 @@
+"""A frame's pixels at the resolution that is trained or scored."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from samira_warp.data.frames import FrameFiles
+from samira_warp.images import composite_on_white, read_image, read_on_white, read_rgba, resize_box
+
+BACKGROUND_TOLERANCE = 4.0 / 255.0
+"""Uncovered pixels this close to one colour are an export's background; JPEG's rounding stays within it."""
+
+
+@dataclass(frozen=True, eq=False)
+class FramePixels:
+    """Pixels of one frame, all of one size.
+
+    Attributes:
+        image: (H, W, 3) float32 display values in 0..1, laid on white.
+        mask: (H, W) float32 coverage in 0..1.
+        albedo: (H, W, 3) float32 sRGB-encoded values as stored, None where the frame has none.
+    """
+
+    image: torch.Tensor
+    mask: torch.Tensor
+    albedo: torch.Tensor | None
+
+    def to(self, device: torch.device | str) -> FramePixels:
+        """The same pixels on ``device``."""
+        return FramePixels(self.image.to(device), self.mask.to(device), None if self.albedo is None else self.albedo.to(device))
+
+
+def load_pixels(frame: FrameFiles, *, width: int, height: int) -> FramePixels:
+    """Decode a frame, lay it on white in display values and box-resize it.
+
+    Coverage is the mask file, else the image's alpha channel, else one everywhere. An image with an alpha channel is composited by it;
+    one without was composited by the export, and its background is replaced by white (see ``on_white``).
+
+    Args:
+        frame: The frame.
+        width: Width of the result, pixels.
+        height: Height of the result, pixels.
+
+    Raises:
+        UserError: A file is missing or cannot be decoded.
+    """
+    colour, alpha = read_rgba(frame.image_path)
+    mask = alpha if frame.mask_path is None else read_image(frame.mask_path, channels=1)[..., 0]
+    if alpha is not None:
+        colour = composite_on_white(colour, alpha)
+    elif mask is not None:
+        colour = on_white(colour, mask)
+    if mask is None:
+        mask = np.ones(colour.shape[:2], np.float32)
+    albedo = None if frame.albedo_path is None else read_on_white(frame.albedo_path)
+
+    def at_size(array: np.ndarray) -> torch.Tensor:
+        return torch.from_numpy(np.ascontiguousarray(resize_box(array, width=width, height=height)))
+
+    return FramePixels(at_size(colour), at_size(mask), None if albedo is None else at_size(albedo))
+
+
+def load_mask(frame: FrameFiles, *, width: int, height: int) -> torch.Tensor | None:
+    """(H, W) float32 coverage in 0..1, box-resized: the mask file, else the image's alpha channel, else None.
+
+    Raises:
+        UserError: The file is missing or cannot be decoded.
+    """
+    mask = read_rgba(frame.image_path)[1] if frame.mask_path is None else read_image(frame.mask_path, channels=1)[..., 0]
+    return None if mask is None else torch.from_numpy(np.ascontiguousarray(resize_box(mask, width=width, height=height)))
+
+
+def on_white(colour: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """Replace the background of an opaque image by white.
+
+    Where the uncovered pixels are all of one colour B, the image is m C + (1 - m) B, and adding (1 - m) (1 - B) is exact: an image
+    already on white stays as it is. Otherwise the scene is still behind the head, and the mask is the only matte there is.
+
+    Args:
+        colour: (H, W, 3) display values.
+        mask: (H, W) coverage.
+    """
+    outside = colour[mask == 0.0]
+    if len(outside) == 0:
+        return colour
+    background = np.median(outside, axis=0)
+    if np.abs(outside - background).max() > BACKGROUND_TOLERANCE:
+        return composite_on_white(colour, mask)
+    if (background >= 1.0 - BACKGROUND_TOLERANCE).all():
+        return colour
+    return colour + (1.0 - mask[..., None]) * (1.0 - background)

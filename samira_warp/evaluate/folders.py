@@ -1,0 +1,112 @@
+"""Pairs of images from folders: which names are scored, and where their files lie."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from samira_warp.data import FrameFiles, Listing
+from samira_warp.data.pixels import load_mask, load_pixels
+from samira_warp.errors import UserError
+from samira_warp.evaluate.evaluate import ImagePair, Layer
+from samira_warp.images import read_labels, read_on_white, resize_box, resize_nearest
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """The files of one frame to be compared.
+
+    Attributes:
+        frame: The dataset's frame, for its mask.
+        prediction: The predicted image.
+        truth: The true image, None for the dataset's own picture.
+        labels: The region labels, None without regions.
+    """
+
+    frame: FrameFiles
+    prediction: Path
+    truth: Path | None
+    labels: Path | None
+
+
+def find_comparisons(listing: Listing, *, predictions: Path, truth: Path | None, layer: Layer, regions: Path | None) -> list[Comparison]:
+    """Pair predictions with the truth by name.
+
+    All images of the ``truth`` folder are scored; without one, the dataset's own pictures of the split are.
+    ``predictions`` may be the folder of the images or an output folder of ``render``, which has one folder for each layer.
+
+    Raises:
+        UserError: A folder or an image is missing, or a true image is none of the dataset's.
+    """
+    for folder in (predictions, truth, regions):
+        if folder is not None and not folder.is_dir():
+            raise UserError(folder, expected="a folder of images", found="a file" if folder.exists() else "no such folder")
+    if truth is None:
+        truths = {listing.frames[index].name: None for index in listing.selected}
+    else:
+        truths = {path.stem: path for path in sorted(truth.iterdir()) if path.suffix.lower() in (".png", ".jpg", ".jpeg")}
+        if not truths:
+            raise UserError(truth, expected="images", found="none")
+    frames = {frame.name: frame for frame in listing.frames}
+    within = predictions / layer
+    folder = within if within.is_dir() else predictions
+    comparisons = []
+    for name, true_path in truths.items():
+        if name not in frames:
+            raise UserError(true_path, expected=f"the name of a frame of {listing.root} (split {listing.split.text})", found=name)
+        labels = None if regions is None else _existing(regions / f"{name}.png", "the frame's region labels")
+        comparisons.append(Comparison(frames[name], _existing(folder / f"{name}.png", "the frame's prediction"), true_path, labels))
+    return comparisons
+
+
+def read_pair(comparison: Comparison, *, layer: Layer) -> ImagePair:
+    """Read the files of one frame; truth, mask and labels take the prediction's size.
+
+    Raises:
+        UserError: A file cannot be decoded.
+    """
+    prediction = read_on_white(comparison.prediction)
+    height, width = prediction.shape[:2]
+    if comparison.truth is None:
+        truth = load_pixels(comparison.frame, width=width, height=height).image
+    else:
+        truth = torch.from_numpy(np.ascontiguousarray(resize_box(read_on_white(comparison.truth), width=width, height=height)))
+    labels = (
+        None if comparison.labels is None else torch.from_numpy(resize_nearest(read_labels(comparison.labels), width=width, height=height))
+    )
+    decoded = torch.from_numpy(prediction)
+    if layer == "normal":
+        decoded, truth = 2.0 * decoded - 1.0, 2.0 * truth - 1.0
+    return ImagePair(comparison.frame.name, decoded, truth, load_mask(comparison.frame, width=width, height=height), labels)
+
+
+def read_pairs(comparisons: list[Comparison], *, layer: Layer) -> Iterator[ImagePair]:
+    """The pairs one after the other."""
+    return (read_pair(comparison, layer=layer) for comparison in comparisons)
+
+
+def read_region_names(regions: Path) -> dict[int, str]:
+    """Names of the labels, from ``parse.json`` in the folder of labels or beside it: {"1": "eye", ...}.
+
+    Raises:
+        UserError: There is no such file, or it holds something else.
+    """
+    beside = (regions / "parse.json", regions.parent / "parse.json")
+    path = next((path for path in beside if path.is_file()), None)
+    if path is None:
+        raise UserError(beside[0], expected="the names of the labels, here or one folder up", found="no such file")
+    try:
+        return {int(label): str(name) for label, name in json.loads(path.read_text(encoding="utf-8")).items()}
+    except (ValueError, AttributeError) as fault:
+        raise UserError(path, expected='labels and their names, such as {"1": "eye"}', found=fault) from fault
+
+
+def _existing(path: Path, expected: str) -> Path:
+    if not path.is_file():
+        raise UserError(path, expected=expected, found="no such file")
+    return path

@@ -1,0 +1,74 @@
+"""Writing files and folders so that what was there stays whole until what replaces it is."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from samira_warp.errors import UserError
+
+
+def replace_folder(target: Path, write: Callable[[Path], None]) -> None:
+    """Let ``write`` fill a new folder and put it in the place of ``target``.
+
+    The new folder is written beside the target under a hidden name, flushed to the disk and renamed. Whatever happens before the rename
+    (a full disk, an interrupt) leaves the target as it was, and removes what was written.
+    """
+    target.parent.mkdir(parents=True, exist_ok=True)
+    fresh, stale = (target.parent / f".{target.name}.{word}-{os.getpid()}" for word in ("new", "old"))
+    try:
+        fresh.mkdir()
+        write(fresh)
+        for path in sorted(fresh.rglob("*")):
+            if path.is_file():
+                _flush(path)
+        _flush(fresh)
+        if target.exists():
+            target.rename(stale)
+        fresh.rename(target)
+        _flush(target.parent)
+    finally:
+        if stale.exists() and not target.exists():
+            stale.rename(target)
+        for folder in (fresh, stale):
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+def replace_file(target: Path, text: str) -> None:
+    """Write a text file under a hidden name, flush it and rename it to ``target``."""
+    fresh = target.parent / f".{target.name}.new-{os.getpid()}"
+    try:
+        fresh.write_text(text, encoding="utf-8")
+        _flush(fresh)
+        fresh.replace(target)
+    finally:
+        fresh.unlink(missing_ok=True)
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Read a JSON object.
+
+    Raises:
+        UserError: The file is missing or holds something else.
+    """
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise UserError(path, expected="a JSON file", found="no such file") from error
+    except (OSError, ValueError) as error:
+        raise UserError(path, expected="a JSON file", found=error) from error
+    if not isinstance(content, dict):
+        raise UserError(path, expected="a JSON object", found=type(content).__name__)
+    return content
+
+
+def _flush(path: Path) -> None:
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

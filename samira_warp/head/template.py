@@ -1,0 +1,187 @@
+"""The parametric head's template: FLAME's keys in an npz file."""
+
+from __future__ import annotations
+
+import hashlib
+import zipfile
+import zlib
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from samira_warp.errors import UserError
+
+JOINTS = 5
+"""FLAME's joints, in its order: root, neck, jaw, two eyes."""
+
+
+@dataclass(frozen=True, eq=False)
+class HeadTemplate:
+    """A head with FLAME's layout and any number of vertices and shapes; lengths in metres, +z out of the face, +y up.
+
+    Attributes:
+        v_template: (V, 3) float32 mean head.
+        shapedirs: (V, 3, S + E) float32 linear shapes: identity first, then expression.
+        n_shape: S, how many of them are identity.
+        posedirs: (V, 3, 36) float32 correctives for the entries of the four non-root joints' rotations less the identity.
+        joint_regressor: (5, V) float32 joint locations from vertices.
+        parents: (5,) int32 parent of each joint, -1 for the root.
+        weights: (V, 5) float32 skinning weights, each row summing to 1.
+        faces: (F, 3) int32 vertex ids.
+        vt: (T, 2) float32 UV coordinates, u to the right and v up.
+        ft: (F, 3) int32 ids of the faces' UV coordinates.
+        masks: Vertex ids (int32) of each named region, as the file has them: they may overlap and leave vertices out.
+        expression_names: E names.
+    """
+
+    v_template: np.ndarray
+    shapedirs: np.ndarray
+    n_shape: int
+    posedirs: np.ndarray
+    joint_regressor: np.ndarray
+    parents: np.ndarray
+    weights: np.ndarray
+    faces: np.ndarray
+    vt: np.ndarray
+    ft: np.ndarray
+    masks: dict[str, np.ndarray]
+    expression_names: tuple[str, ...]
+
+    @property
+    def n_expression(self) -> int:
+        """E, how many of the linear shapes are expression."""
+        return self.shapedirs.shape[2] - self.n_shape
+
+    @cached_property
+    def hash(self) -> str:
+        """SHA-256 of the content in hexadecimal: equal for equal heads, whatever the file was like."""
+        digest = hashlib.sha256()
+        for key, value in sorted(_to_arrays(self).items()):
+            value = np.ascontiguousarray(value)
+            digest.update(f"{key} {value.dtype.str} {value.shape}\n".encode())
+            digest.update(value.tobytes())
+        return digest.hexdigest()
+
+
+def read_template(path: str | Path) -> HeadTemplate:
+    """Read and check a template.
+
+    The file holds v_template, shapedirs, n_shape, posedirs, J_regressor, kintree_table, weights, f, vt and ft as `HeadTemplate`
+    describes them, and optionally expression_names and any number of mask_<region>. Nothing in it is unpickled.
+
+    Raises:
+        UserError: The file is missing, is no npz, or a key is missing or has a wrong shape, an index out of range or a value that is
+            not finite; the message names the file, the key, what was expected and what was found.
+    """
+    reader = _Reader(Path(path))
+    v_template = reader.numbers("v_template", (None, 3))
+    vertices = len(v_template)
+    shapedirs = reader.numbers("shapedirs", (vertices, 3, None))
+    n_shape = int(reader.integers("n_shape", (), low=0, high=shapedirs.shape[2] + 1))
+    weights = reader.numbers("weights", (vertices, JOINTS))
+    reader.expect("weights", np.abs(weights.sum(axis=1) - 1).max() < 1e-3, "rows that sum to 1", "other sums")
+    faces = reader.integers("f", (None, 3), low=0, high=vertices)
+    vt = reader.numbers("vt", (None, 2))
+    return HeadTemplate(
+        v_template=v_template,
+        shapedirs=shapedirs,
+        n_shape=n_shape,
+        posedirs=reader.numbers("posedirs", (vertices, 3, 9 * (JOINTS - 1))),
+        joint_regressor=reader.numbers("J_regressor", (JOINTS, vertices)),
+        parents=reader.parents(),
+        weights=weights,
+        faces=faces,
+        vt=vt,
+        ft=reader.integers("ft", (len(faces), 3), low=0, high=len(vt)),
+        masks={
+            key.removeprefix("mask_"): reader.integers(key, (None,), low=0, high=vertices)
+            for key in sorted(reader.arrays)
+            if key.startswith("mask_")
+        },
+        expression_names=reader.names("expression_names", shapedirs.shape[2] - n_shape),
+    )
+
+
+def save_template(template: HeadTemplate, path: str | Path) -> None:
+    """Write a template in the layout that `read_template` reads, at exactly ``path``."""
+    with Path(path).open("wb") as file:
+        np.savez_compressed(file, **_to_arrays(template))
+
+
+def _to_arrays(template: HeadTemplate) -> dict[str, np.ndarray]:
+    return {
+        "v_template": template.v_template,
+        "shapedirs": template.shapedirs,
+        "n_shape": np.asarray(template.n_shape, np.int64),
+        "posedirs": template.posedirs,
+        "J_regressor": template.joint_regressor,
+        "kintree_table": np.stack([template.parents, np.arange(JOINTS, dtype=np.int32)]),
+        "weights": template.weights,
+        "f": template.faces,
+        "vt": template.vt,
+        "ft": template.ft,
+        "expression_names": np.asarray(template.expression_names, np.str_),
+        **{f"mask_{name}": ids for name, ids in template.masks.items()},
+    }
+
+
+class _Reader:
+    """Arrays of one npz file, each checked as it is taken; every complaint names the file and the key."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        if path.suffix.lower() in {".pkl", ".pickle"}:
+            raise UserError(path, expected="an npz file with FLAME's keys", found="a pickle, which may run code when it is read")
+        if not path.is_file():
+            raise UserError(path, expected="an npz file with FLAME's keys", found="no such file")
+        try:
+            with np.load(path, allow_pickle=False) as archive:
+                self.arrays = {key: archive[key] for key in archive.files}
+        except (ValueError, TypeError, AttributeError, OSError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+            raise UserError(path, expected="an npz file of plain arrays", found=f"unreadable content ({error})") from error
+
+    def expect(self, key: str, holds: bool | np.bool_, expected: str, found: str) -> None:
+        if not holds:
+            raise UserError(f"{self.path}: {key}", expected=expected, found=found)
+
+    def take(self, key: str, shape: tuple[int | None, ...]) -> np.ndarray:
+        wanted = f"({', '.join('any' if size is None else str(size) for size in shape)})"
+        self.expect(key, key in self.arrays, f"an array of shape {wanted}", "no such key")
+        array = self.arrays[key]
+        fits = array.ndim == len(shape) and all(want in (None, have) for want, have in zip(shape, array.shape, strict=True))
+        self.expect(key, fits, f"shape {wanted}", f"shape {array.shape}")
+        return array
+
+    def numbers(self, key: str, shape: tuple[int | None, ...]) -> np.ndarray:
+        array = self.take(key, shape)
+        self.expect(key, array.dtype.kind in "fiu", "numbers", f"{array.dtype}")
+        self.expect(key, np.isfinite(array).all(), "finite numbers", "NaN or infinity")
+        return np.ascontiguousarray(array, np.float32)
+
+    def integers(self, key: str, shape: tuple[int | None, ...], *, low: int, high: int) -> np.ndarray:
+        """Integers from ``low`` to ``high`` - 1."""
+        array = self.take(key, shape)
+        self.expect(key, array.dtype.kind in "iu", "integers", f"{array.dtype}")
+        if array.size:
+            found = f"{array.min()} to {array.max()}"
+            self.expect(key, low <= array.min() and array.max() < high, f"integers from {low} to {high - 1}", found)
+        return array.astype(np.int32)
+
+    def parents(self) -> np.ndarray:
+        """Row 0 of the kinematic tree; FLAME's files mark the root's parent by the largest uint32."""
+        table = self.take("kintree_table", (2, JOINTS))
+        self.expect("kintree_table", table.dtype.kind in "iu", "integers", f"{table.dtype}")
+        parents = table[0].astype(np.int64)
+        parents[0] = -1
+        precede = all(0 <= parents[joint] < joint for joint in range(1, JOINTS))
+        self.expect("kintree_table", precede, "parents that precede their joints", f"{parents.tolist()}")
+        return parents.astype(np.int32)
+
+    def names(self, key: str, count: int) -> tuple[str, ...]:
+        if key not in self.arrays:
+            return tuple(f"expression_{index:03d}" for index in range(count))
+        array = self.take(key, (count,))
+        self.expect(key, count == 0 or array.dtype.kind == "U", "text", f"{array.dtype}")
+        return tuple(str(name) for name in array)

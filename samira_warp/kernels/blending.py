@@ -1,0 +1,112 @@
+"""Alpha blending of projected Gaussians, front to back, and the adjoint.
+
+With sigma = (1/2) d' K d at the offset d of a pixel centre from the mean, a pixel sees Gaussian k with
+
+    alpha_k = min(ALPHA_MAX, o_k exp(-sigma_k)),   weight_k = alpha_k T_k,   T_{k+1} = T_k (1 - alpha_k),   T_1 = 1
+
+where alpha below ALPHA_MIN counts as 0 and the pixel stops before T would fall below TRANSMITTANCE_MIN. The result is
+sum_k weight_k f_k and the last T. The adjoint goes front to back too, with the sum still to come as running state:
+
+    dL/df_k = sum over pixels of weight_k g,   dL/dalpha_k = T_k (f_k . g) - (sum_{j > k} weight_j (f_j . g) + T g_T) / (1 - alpha_k)
+
+for the gradients g and g_T of the two results.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import torch
+import warp as wp
+from torch import Tensor
+
+from samira_warp.kernels import blending_cpu, blending_cuda
+from samira_warp.kernels.runtime import launch_range
+from samira_warp.kernels.splats import pack_splats
+from samira_warp.kernels.tiles import TileBins
+from samira_warp.validation import check_tensor
+
+GRAIN = 2048
+"""Gaussians that are worth a thread."""
+
+
+class Blended(NamedTuple):
+    """What an image of H x W pixels shows of N Gaussians with C channels.
+
+    Attributes:
+        features: (H, W, C) float32, sum of weight times feature: not divided by alpha, no background.
+        transmittance: (H, W) float32 in 0..1, the share of what lies behind that still shows.
+    """
+
+    features: Tensor
+    transmittance: Tensor
+
+
+def blend(
+    means2d: Tensor, conics: Tensor, opacities: Tensor, features: Tensor, bins: TileBins, *, width: int, height: int
+) -> Blended:
+    """Blend Gaussians into pixels; differentiable in the first four arguments through both results.
+
+    Bitwise the same on every run and for any number of threads, gradients included.
+
+    Args:
+        means2d: (N, 2) float32, pixels.
+        conics: (N, 3) float32, (xx, xy, yy) of the inverse covariance, pixels^-2.
+        opacities: (N,) float32 in 0..1.
+        features: (N, C) float32, finite, C at least 1.
+        bins: From `bin_tiles` on the same Gaussians and image size.
+        width: W, pixels.
+        height: H, pixels.
+
+    Raises:
+        UserError: If a shape, dtype or device is wrong.
+    """
+    count, device = bins.order.shape[0], bins.order.device
+    check_tensor("means2d", means2d, shape=(count, 2), device=device)
+    check_tensor("conics", conics, shape=(count, 3), device=device)
+    check_tensor("opacities", opacities, shape=(count,), device=device)
+    check_tensor("features", features, shape=(count, "C"), device=device)
+    inputs = (tensor.contiguous() for tensor in (means2d, conics, opacities, features))
+    return Blended(*_Blend.apply(*inputs, bins, width, height))
+
+
+class _Blend(torch.autograd.Function):
+    @staticmethod
+    def forward(
+        ctx: Any, means2d: Tensor, conics: Tensor, opacities: Tensor, features: Tensor, bins: TileBins, width: int, height: int
+    ) -> tuple[Tensor, Tensor]:
+        side = blending_cuda if means2d.is_cuda else blending_cpu
+        splats = pack_splats(means2d, conics, opacities, features, multiple=side.LANES)
+        blended, transmittance = side.forward(splats, bins, features.shape[1], width, height)
+        ctx.save_for_backward(splats, blended, transmittance, *bins[:5])
+        ctx.grid = bins[5:]
+        return blended, transmittance
+
+    @staticmethod
+    def backward(ctx: Any, grad_features: Tensor, grad_transmittance: Tensor) -> tuple[Tensor | None, ...]:
+        splats, blended, transmittance, *lists = ctx.saved_tensors
+        bins = TileBins(*lists, *ctx.grid)
+        side = blending_cuda if splats.is_cuda else blending_cpu
+        slot_gradients = side.adjoint(splats, bins, blended, transmittance, grad_features.contiguous(), grad_transmittance.contiguous())
+        gradients = slot_gradients.new_empty(bins.order.shape[0], slot_gradients.shape[1])
+        launch_range(_sum_slots, bins.order.shape[0], bins.order, bins.slot_offsets, slot_gradients, gradients, grain=GRAIN)
+        means2d, conics, opacities, features = gradients.split([2, 3, 1, gradients.shape[1] - 6], dim=1)
+        return means2d, conics, opacities[:, 0], features, None, None, None
+
+
+@wp.kernel(enable_backward=False)
+def _sum_slots(
+    first: wp.int32,
+    order: wp.array[wp.int32],
+    slot_offsets: wp.array[wp.int32],
+    slot_gradients: wp.array2d[wp.float32],
+    gradients: wp.array2d[wp.float32],
+):
+    """Sum each Gaussian's slots, which lie side by side, in their order."""
+    rank = first + wp.tid()
+    i = order[rank]
+    for c in range(gradients.shape[1]):
+        total = float(0.0)
+        for slot in range(slot_offsets[rank], slot_offsets[rank + 1]):
+            total += slot_gradients[slot, c]
+        gradients[i, c] = total

@@ -1,0 +1,357 @@
+"""Blending on the CPU: one Warp thread per tile, sixteen pixels of a row at a time in clang's vector types.
+
+Warp compiles a CPU kernel as one scalar loop, so the tile bodies are native snippets. `samira_warp/reference/blending_plain.py` says the
+same one pixel at a time in Warp. The mathematics is that of `samira_warp.kernels.blending`; the arrangement is:
+
+- A tile takes its Gaussians in batches. For a batch it finds which rows each ellipse crosses inside the tile (16 Gaussians at a time) and
+  lists the Gaussians of each row. A row then goes through its list with its transmittance in a register, and leaves its weights behind.
+- Channels follow as products of those weights and the features (or the gradient), so an accumulator stays in a register over the list.
+- A lane whose transmittance would fall below TRANSMITTANCE_MIN stops: the transmittance moves from ``live`` to ``final``, and ``live``
+  is 0 from then on. A row whose lanes have all stopped is skipped, a tile whose rows have all stopped is done.
+"""
+
+from __future__ import annotations
+
+import math
+
+import warp as wp
+from torch import Tensor
+
+from samira_warp.constants import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
+from samira_warp.kernels.runtime import launch_range
+from samira_warp.kernels.splats import RECORD
+from samira_warp.kernels.tiles import TileBins
+
+LANES = 4
+"""Channels are padded with zeros to a multiple of this: the forward product runs over four accumulators."""
+
+GRAIN = 4
+"""Tiles that are worth a thread."""
+
+_CONSTANTS = f"""
+    const float ALPHA_MAX = {ALPHA_MAX!r}f, ALPHA_MIN = {ALPHA_MIN!r}f, TRANSMITTANCE_MIN = {TRANSMITTANCE_MIN!r}f, LN2 = {math.log(2.0)!r}f;
+    const int RECORD = {RECORD}, LANES = {LANES};
+"""
+
+_TILE = r"""
+    typedef float Row __attribute__((ext_vector_type(16)));   // 16 neighbouring pixels, or 16 Gaussians
+    typedef int Bits __attribute__((ext_vector_type(16)));
+    const int BATCH = 64;
+    const Row ramp = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
+    const Row zero = 0.0f;
+
+    const int tile_left = 16 * (tile % columns), tile_top = 16 * (tile / columns);
+    const int start = tile_offsets.data[tile], end = tile_offsets.data[tile + 1];
+    const int stride = splats.shape[1], padded = stride - RECORD;
+
+    // the batch: geometry relative to the tile's first pixel centre, features, and the Gaussians that each row meets
+    alignas(64) float mean_x[BATCH] = {}, mean_y[BATCH] = {}, xx[BATCH] = {}, xy[BATCH] = {}, yy[BATCH] = {}, level[BATCH] = {}, cut[BATCH] = {};
+    const float* feature[BATCH];
+    int listed[16][BATCH], count[16];
+
+    auto load = [](const float* values) { return *(const Row*)values; };
+    auto largest = [](Row v) { return __builtin_reduce_max(v); };
+
+    auto take_batch = [&](int begin, int size) {
+        for (int j = 0; j < size; ++j) {
+            const float* splat = splats.data + (size_t)gaussians.data[begin + j] * stride;
+            mean_x[j] = splat[0] - (tile_left + 0.5f);
+            mean_y[j] = splat[1] - (tile_top + 0.5f);
+            xx[j] = splat[2]; xy[j] = splat[3]; yy[j] = splat[4]; level[j] = splat[5]; cut[j] = splat[6];
+            feature[j] = splat + RECORD;
+        }
+        // Rows where quadratic <= cut between the tile's outer columns. Over dx the ellipse's upper edge is
+        // dy = (-xy dx + sqrt(4 cut yy - D dx^2)) / (2 yy): concave, so highest at its top or at the column nearest to the top.
+        alignas(64) int first[BATCH], last[BATCH];
+        for (int j = 0; j < size; j += 16) {
+            const Row x = load(mean_x + j), y = load(mean_y + j), a = load(xx + j), b = load(xy + j), c = load(yy + j), q = load(cut + j);
+            const Row product = 4.0f * a * c;
+            const Row D = __builtin_elementwise_max(product * (1.0f - 0x1p-21f) - b * b, product * 1e-12f);
+            const Row top = b * __builtin_elementwise_sqrt(q / (a * D));   // 2 a |dy| / ... of the topmost point: dx = -+ b dy / (2 a)
+            const Row low = -x, high = 15.0f - x;
+            const Row up = __builtin_elementwise_min(__builtin_elementwise_max(-top, low), high);
+            const Row down = __builtin_elementwise_min(__builtin_elementwise_max(top, low), high);
+            const Row up_root = __builtin_elementwise_sqrt(__builtin_elementwise_max(4.0f * q * c - D * up * up, zero));
+            const Row down_root = __builtin_elementwise_sqrt(__builtin_elementwise_max(4.0f * q * c - D * down * down, zero));
+            const Row lower = __builtin_elementwise_ceil(y - (b * down + down_root) / (2.0f * c));
+            const Row upper = __builtin_elementwise_floor(y + (up_root - b * up) / (2.0f * c));
+            // a NaN loses to the bound: then every row is taken
+            *(Bits*)(first + j) = __builtin_convertvector(__builtin_elementwise_min(__builtin_elementwise_max(lower, zero), zero + 16.0f), Bits);
+            *(Bits*)(last + j) = __builtin_convertvector(__builtin_elementwise_max(__builtin_elementwise_min(upper, zero + 15.0f), zero - 1.0f), Bits);
+        }
+        for (int r = 0; r < 16; ++r) count[r] = 0;
+        for (int j = 0; j < size; ++j)
+            for (int r = first[j]; r <= last[j]; ++r) listed[r][count[r]++] = j;
+    };
+
+    // opacity * exp(-sigma) of Gaussian j along row r: 2^t by rounding t and a polynomial, relative error 2e-7
+    auto density = [&](int j, int r) {
+        const float dy = r - mean_y[j];
+        const Row dx = ramp - mean_x[j];
+        const Row t = __builtin_elementwise_max((level[j] - yy[j] * dy * dy) - dx * (xx[j] * dx + xy[j] * dy), zero - 126.0f);
+        const Row whole = __builtin_elementwise_roundeven(t);
+        const Row u = t - whole;
+        const Row power = 1.0f + u * (0.693147f + u * (0.24022242f + u * (0.055507336f + u * (0.009671513f + u * 0.0013264727f))));
+        return __builtin_bit_cast(Row, __builtin_bit_cast(Bits, power) + (__builtin_convertvector(whole, Bits) << 23));
+    };
+    auto alpha_of = [&](Row density) {
+        const Row alpha = __builtin_elementwise_min(density, zero + ALPHA_MAX);
+        return alpha < ALPHA_MIN ? zero : alpha;
+    };
+
+    // front-to-back state of the tile's pixels
+    Row live[16], final[16];
+    for (int r = 0; r < 16; ++r) { live[r] = 1.0f; final[r] = 0.0f; }
+    auto absorb = [&](Row alpha, Row& live, Row& final) {
+        const Row weight = alpha * live, next = live - weight;
+        const Bits stop = next < TRANSMITTANCE_MIN;
+        final += stop ? live : zero;
+        live = stop ? zero : next;
+        return stop ? zero : weight;
+    };
+"""
+
+_FORWARD = r"""
+    // sums[r][c]: one row of one channel
+    Row* sums = (Row*)__builtin_alloca_with_align(16 * padded * sizeof(Row), 512);
+    for (int i = 0; i < 16 * padded; ++i) sums[i] = 0.0f;
+
+    bool unfinished = true;
+    for (int begin = start; begin < end && unfinished; begin += BATCH) {
+        take_batch(begin, end - begin < BATCH ? end - begin : BATCH);
+        unfinished = false;
+        for (int r = 0; r < 16; ++r) {
+            if (largest(live[r]) == 0.0f) continue;
+            unfinished = true;
+            const int n = count[r];
+            const int* list = listed[r];
+            Row weight[BATCH];
+            Row row_live = live[r], row_final = final[r];
+            for (int i = 0; i < n; ++i) weight[i] = absorb(alpha_of(density(list[i], r)), row_live, row_final);
+            live[r] = row_live;
+            final[r] = row_final;
+            for (int c = 0; c < padded; c += LANES) {
+                Row* sum = sums + r * padded + c;
+                Row s0 = sum[0], s1 = sum[1], s2 = sum[2], s3 = sum[3];
+                for (int i = 0; i < n; ++i) {
+                    const float* f = feature[list[i]] + c;
+                    s0 += weight[i] * f[0]; s1 += weight[i] * f[1]; s2 += weight[i] * f[2]; s3 += weight[i] * f[3];
+                }
+                sum[0] = s0; sum[1] = s1; sum[2] = s2; sum[3] = s3;
+            }
+        }
+    }
+    const int channels = features.shape[2];
+    for (int r = 0; r < 16 && tile_top + r < height; ++r)
+        for (int x = 0; x < 16 && tile_left + x < width; ++x) {
+            const size_t pixel = (size_t)(tile_top + r) * width + tile_left + x;
+            for (int c = 0; c < channels; ++c) features.data[pixel * channels + c] = sums[r * padded + c][x];
+            transmittance.data[pixel] = live[r][x] + final[r][x];
+        }
+"""
+
+_BACKWARD = r"""
+    typedef float Octet __attribute__((ext_vector_type(8)));   // eight channels of one pixel
+    const int channels = features.shape[2], octets = (channels + 7) / 8, columns_out = slot_gradients.shape[1];
+
+    // the output's gradient twice: per channel as rows of pixels, and per pixel as octets of channels
+    Row* by_channel = (Row*)__builtin_alloca_with_align(16 * padded * sizeof(Row), 512);
+    Octet* by_pixel = (Octet*)__builtin_alloca_with_align(256 * octets * sizeof(Octet), 512);
+    Octet* grad_feature = (Octet*)__builtin_alloca_with_align(BATCH * octets * sizeof(Octet), 512);
+    for (int i = 0; i < 16 * padded; ++i) by_channel[i] = 0.0f;
+    for (int i = 0; i < 256 * octets; ++i) by_pixel[i] = 0.0f;
+    // what the pixel's gradient still has to meet behind the Gaussian at hand: sum of weight * dot, and the background's share
+    Row behind[16];
+    for (int r = 0; r < 16; ++r) {
+        behind[r] = 0.0f;
+        for (int x = 0; x < 16 && tile_left + x < width && tile_top + r < height; ++x) {
+            const size_t pixel = (size_t)(tile_top + r) * width + tile_left + x;
+            float sum = transmittance.data[pixel] * grad_transmittance.data[pixel];
+            for (int c = 0; c < channels; ++c) {
+                const float g = grad_features.data[pixel * channels + c];
+                by_channel[r * padded + c][x] = g;
+                ((float*)(by_pixel + (r * 16 + x) * octets))[c] = g;
+                sum += features.data[pixel * channels + c] * g;
+            }
+            behind[r][x] = sum;
+        }
+    }
+
+    auto total = [](Row v) {
+        const Octet h = v.lo + v.hi;
+        const auto q = h.lo + h.hi;
+        return (q[0] + q[2]) + (q[1] + q[3]);
+    };
+    // gradient of sigma, times 1, dy and dy^2, summed over the rows of each Gaussian of the batch
+    Row moment0[BATCH], moment1[BATCH], moment2[BATCH];
+
+    auto write_slot = [&](int j, int entry) {
+        float* slot = slot_gradients.data + (size_t)slots.data[entry] * columns_out;
+        const float* splat = feature[j] - RECORD;
+        const Row dx = ramp - mean_x[j];
+        const float A = 2.0f * LN2 * xx[j], B = LN2 * xy[j], C = 2.0f * LN2 * yy[j];
+        const float sum_x = total(moment0[j] * dx), sum_y = total(moment1[j]);
+        slot[0] = -(A * sum_x + B * sum_y);
+        slot[1] = -(B * sum_x + C * sum_y);
+        slot[2] = 0.5f * total(moment0[j] * dx * dx);
+        slot[3] = total(moment1[j] * dx);
+        slot[4] = 0.5f * total(moment2[j]);
+        slot[5] = -total(moment0[j]) * splat[7];
+        for (int c = 0; c < channels; ++c) slot[6 + c] = ((float*)(grad_feature + j * octets))[c];
+    };
+
+    bool unfinished = true;
+    for (int begin = start; begin < end; begin += BATCH) {
+        const int size = end - begin < BATCH ? end - begin : BATCH;
+        if (!unfinished) {   // nothing shows behind here
+            for (int j = 0; j < size; ++j)
+                for (int c = 0; c < columns_out; ++c) slot_gradients.data[(size_t)slots.data[begin + j] * columns_out + c] = 0.0f;
+            continue;
+        }
+        take_batch(begin, size);
+        for (int j = 0; j < size; ++j) {
+            moment0[j] = moment1[j] = moment2[j] = 0.0f;
+            for (int o = 0; o < octets; ++o) grad_feature[j * octets + o] = 0.0f;
+        }
+        unfinished = false;
+        for (int r = 0; r < 16; ++r) {
+            if (largest(live[r]) == 0.0f) continue;
+            unfinished = true;
+            const int n = count[r];
+            const int* list = listed[r];
+            Row weight[BATCH];
+            Row row_live = live[r], row_final = final[r], row_behind = behind[r];
+            for (int i = 0; i < n; ++i) {
+                const int j = list[i];
+                Row dot = 0.0f;
+                for (int c = 0; c < padded; c += LANES) {
+                    const Row* g = by_channel + r * padded + c;
+                    const float* f = feature[j] + c;
+                    dot += (f[0] * g[0] + f[1] * g[1]) + (f[2] * g[2] + f[3] * g[3]);
+                }
+                const Row value = density(j, r), alpha = alpha_of(value);
+                weight[i] = absorb(alpha, row_live, row_final);
+                row_behind -= weight[i] * dot;
+                // dL/dsigma = -alpha dL/dalpha, dL/dalpha = T dot - behind / (1 - alpha); none through the cap, the cut or the stop
+                const Row gradient = row_behind * (alpha / (1.0f - alpha)) - weight[i] * dot;
+                const Row grad_sigma = (weight[i] > 0.0f) & (value <= ALPHA_MAX) ? gradient : zero;
+                const float dy = r - mean_y[j];
+                moment0[j] += grad_sigma;
+                moment1[j] += grad_sigma * dy;
+                moment2[j] += grad_sigma * (dy * dy);
+            }
+            live[r] = row_live;
+            final[r] = row_final;
+            behind[r] = row_behind;
+            for (int i = 0; i < n; ++i) {
+                const float* w = (const float*)(weight + i);
+                for (int o = 0; o < octets; ++o) {
+                    const Octet* g = by_pixel + r * 16 * octets + o;
+                    Octet s0 = 0.0f, s1 = 0.0f, s2 = 0.0f, s3 = 0.0f;
+                    for (int x = 0; x < 16; x += 4) {
+                        s0 += w[x] * g[x * octets];
+                        s1 += w[x + 1] * g[(x + 1) * octets];
+                        s2 += w[x + 2] * g[(x + 2) * octets];
+                        s3 += w[x + 3] * g[(x + 3) * octets];
+                    }
+                    grad_feature[list[i] * octets + o] += (s0 + s1) + (s2 + s3);
+                }
+            }
+        }
+        for (int j = 0; j < size; ++j) write_slot(j, begin + j);
+    }
+"""
+
+
+def forward(splats: Tensor, bins: TileBins, channels: int, width: int, height: int) -> tuple[Tensor, Tensor]:
+    """Features (H, W, C) and transmittance (H, W) from splat records padded to LANES."""
+    features, transmittance = splats.new_empty(height, width, channels), splats.new_empty(height, width)
+    tiles = bins.columns * bins.rows
+    launch_range(
+        _blend_tile, tiles, bins.columns, width, height, bins.tile_offsets, bins.gaussians, splats, features, transmittance, grain=GRAIN
+    )
+    return features, transmittance
+
+
+def adjoint(
+    splats: Tensor, bins: TileBins, features: Tensor, transmittance: Tensor, grad_features: Tensor, grad_transmittance: Tensor
+) -> Tensor:
+    """(I, 6 + C) gradients by slot: mean x, y; conic xx, xy, yy; opacity; features. Takes what `forward` took and gave."""
+    height, width, channels = features.shape
+    slot_gradients = splats.new_empty(bins.slots.shape[0], 6 + channels)
+    lists = (bins.tile_offsets, bins.gaussians, bins.slots)
+    images = (features, transmittance, grad_features, grad_transmittance)
+    tiles = bins.columns * bins.rows
+    launch_range(_blend_tile_adjoint, tiles, bins.columns, width, height, *lists, splats, *images, slot_gradients, grain=GRAIN)
+    return slot_gradients
+
+
+@wp.func_native(_CONSTANTS + _TILE + _FORWARD)
+def _blend_rows(
+    tile: wp.int32,
+    columns: wp.int32,
+    width: wp.int32,
+    height: wp.int32,
+    tile_offsets: wp.array[wp.int32],
+    gaussians: wp.array[wp.int32],
+    splats: wp.array2d[wp.float32],
+    features: wp.array3d[wp.float32],
+    transmittance: wp.array2d[wp.float32],
+): ...
+
+
+@wp.func_native(_CONSTANTS + _TILE + _BACKWARD)
+def _blend_rows_adjoint(
+    tile: wp.int32,
+    columns: wp.int32,
+    width: wp.int32,
+    height: wp.int32,
+    tile_offsets: wp.array[wp.int32],
+    gaussians: wp.array[wp.int32],
+    slots: wp.array[wp.int32],
+    splats: wp.array2d[wp.float32],
+    features: wp.array3d[wp.float32],
+    transmittance: wp.array2d[wp.float32],
+    grad_features: wp.array3d[wp.float32],
+    grad_transmittance: wp.array2d[wp.float32],
+    slot_gradients: wp.array2d[wp.float32],
+): ...
+
+
+@wp.kernel(enable_backward=False)
+def _blend_tile(
+    first: wp.int32,
+    columns: wp.int32,
+    width: wp.int32,
+    height: wp.int32,
+    tile_offsets: wp.array[wp.int32],
+    gaussians: wp.array[wp.int32],
+    splats: wp.array2d[wp.float32],
+    features: wp.array3d[wp.float32],
+    transmittance: wp.array2d[wp.float32],
+):
+    """Blend the pixels of one tile: features (H, W, C) and transmittance (H, W)."""
+    _blend_rows(first + wp.tid(), columns, width, height, tile_offsets, gaussians, splats, features, transmittance)
+
+
+@wp.kernel(enable_backward=False)
+def _blend_tile_adjoint(
+    first: wp.int32,
+    columns: wp.int32,
+    width: wp.int32,
+    height: wp.int32,
+    tile_offsets: wp.array[wp.int32],
+    gaussians: wp.array[wp.int32],
+    slots: wp.array[wp.int32],
+    splats: wp.array2d[wp.float32],
+    features: wp.array3d[wp.float32],
+    transmittance: wp.array2d[wp.float32],
+    grad_features: wp.array3d[wp.float32],
+    grad_transmittance: wp.array2d[wp.float32],
+    slot_gradients: wp.array2d[wp.float32],
+):
+    """Write the gradients of one tile's intersections, (I, 6 + C): mean x, y; conic xx, xy, yy; opacity; features."""
+    _blend_rows_adjoint(
+        first + wp.tid(), columns, width, height, tile_offsets, gaussians, slots, splats,
+        features, transmittance, grad_features, grad_transmittance, slot_gradients,
+    )  # fmt: skip

@@ -1,0 +1,255 @@
+"""Exact GGX prefiltering and cosine irradiance of cubemaps: every texel of the light weighs in every texel of the result.
+
+Both are the sum over texels j of L_j k(n_i . l_j) dOmega_j with exact solid angles. With view = normal = reflection, the half vector of
+the GGX lobe is between normal and light, (n . h)^2 = (1 + n . l) / 2, so that with alpha = roughness^2
+
+    k(c) = max(c, 0) D_GGX / D_GGX(1) = max(c, 0) alpha^4 / (alpha^2 + (1 - alpha^2) (1 - c) / 2)^2
+
+and alpha = 1 leaves the cosine. The symmetries of the cube (`kernels.cubemap_symmetry`) turn the sum into eight matrix products.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import torch
+import warp as wp
+
+from samira_warp.errors import UserError
+from samira_warp.kernels.cubemap import FACES, texel_directions, texel_solid_angles
+from samira_warp.kernels.cubemap_symmetry import (
+    OCTANTS,
+    PERMUTATIONS,
+    collect_table,
+    parities,
+    result_table,
+    spread_table,
+    symmetry,
+)
+from samira_warp.kernels.runtime import launch_range
+from samira_warp.validation import check_tensor
+
+_CACHED_WEIGHTS = 1 << 24
+"""A filter of at most this many stored weights (64 MB) keeps them; a larger one makes them anew, block by block."""
+
+_BLOCK_WEIGHTS = 1 << 19
+"""Weights made at a time by a larger filter: 2 MB, which stay in the cache between making and use."""
+
+_BLOCK_WIDTH = 2048
+"""Texels of such a block."""
+
+
+def irradiance(radiance: torch.Tensor, *, size: int = 16) -> torch.Tensor:
+    """Cosine-weighted mean radiance: E_d(n) = (1 / pi) sum of L max(n . l, 0) dOmega, so that a uniform light of 1 gives 1.
+
+    Args:
+        radiance: (6, S, S, C) float32, linear; S even.
+        size: Even size of the result.
+
+    Returns:
+        (6, size, size, C) float32, differentiable; linear in ``radiance``, with the exact adjoint.
+
+    Raises:
+        UserError: A wrong shape or dtype, or an odd size.
+    """
+    _check(radiance, (size,))
+    return _Filter.apply(radiance, size, 1.0, False)
+
+
+def prefilter(base: torch.Tensor, *, ladder: Sequence[tuple[float, int]]) -> tuple[torch.Tensor, ...]:
+    """The chain of mips of a light seen in ever rougher surfaces: the base itself, then GGX-weighted means of it.
+
+    Args:
+        base: (6, S, S, C) float32, linear radiance; S even.
+        ladder: (roughness, size) of each further mip: roughness in (0, 1], size even.
+
+    Returns:
+        1 + len(ladder) mips, (6, S, S, C) and (6, size, size, C) float32, differentiable; each linear in ``base``, with the exact adjoint.
+
+    Raises:
+        UserError: A wrong shape or dtype, an odd size, or a roughness out of range.
+    """
+    _check(base, [size for _, size in ladder])
+    for roughness, _ in ladder:
+        if not 0 < roughness <= 1:
+            raise UserError("ladder", expected="roughness in (0, 1]", found=roughness)
+    return (base, *(_Filter.apply(base, size, roughness * roughness, True) for roughness, size in ladder))
+
+
+class _Filter(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, base: torch.Tensor, size: int, alpha: float, normalised: bool) -> torch.Tensor:
+        device, channels = base.device, base.shape[-1]
+        columns = len(PERMUTATIONS) * channels
+        parts = _to_parities(base).view(-1, channels)[spread_table(base.shape[1], device)].view(OCTANTS, -1, columns)
+        representatives = len(symmetry(size, device).representatives)
+        products = base.new_zeros(OCTANTS, representatives, columns)
+        sums = base.new_zeros(representatives)
+        for rows, texels, weights in _weights(base.shape[1], size, alpha, device):
+            products[:, rows] += weights @ parts[:, texels]
+            # The even parity of a row is the sum over the octants.
+            sums[rows] += weights[0].sum(dim=1)
+        scale = 1.0 / sums if normalised else torch.full_like(sums, 1.0 / torch.pi)
+        ctx.save_for_backward(scale)
+        ctx.base_size, ctx.size, ctx.alpha = base.shape[1], size, alpha
+        products = (products * scale[:, None]).view(-1, channels)
+        return _from_parities(products[result_table(size, device)], size) / OCTANTS
+
+    @staticmethod
+    def backward(ctx: Any, grad: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        (scale,) = ctx.saved_tensors
+        device, channels = grad.device, grad.shape[-1]
+        columns = len(PERMUTATIONS) * channels
+        products = grad.new_zeros(OCTANTS * len(scale) * len(PERMUTATIONS), channels)
+        # No row of the products is read twice, so this copies and never adds.
+        products[result_table(ctx.size, device)] = _to_parities(grad) / OCTANTS
+        products = products.view(OCTANTS, -1, columns) * scale[:, None]
+        parts = grad.new_zeros(OCTANTS, FACES * ctx.base_size**2 // OCTANTS, columns)
+        for rows, texels, weights in _weights(ctx.base_size, ctx.size, ctx.alpha, device):
+            parts[:, texels] += weights.transpose(1, 2) @ products[:, rows]
+        parts = parts.view(-1, channels)[collect_table(ctx.base_size, device)].sum(dim=1)
+        return _from_parities(parts.view(OCTANTS, -1, channels), ctx.base_size), None, None, None
+
+
+def _to_parities(cubemap: torch.Tensor) -> torch.Tensor:
+    """(8, U, C) even and odd parts of a cubemap (6, S, S, C)."""
+    octants = cubemap.reshape(-1, cubemap.shape[-1])[symmetry(cubemap.shape[1], cubemap.device).flips]
+    return (parities(cubemap.device) @ octants.view(OCTANTS, -1)).view_as(octants)
+
+
+def _from_parities(parts: torch.Tensor, size: int) -> torch.Tensor:
+    """(6, S, S, C) transpose of `_to_parities`, which is 8 times its inverse."""
+    octants = (parities(parts.device) @ parts.reshape(OCTANTS, -1)).view_as(parts)
+    result = torch.empty_like(octants).view(-1, parts.shape[-1])
+    result[symmetry(size, parts.device).flips] = octants
+    return result.view(FACES, size, size, -1)
+
+
+def _weights(base_size: int, size: int, alpha: float, device: torch.device) -> Iterator[tuple[slice, slice, torch.Tensor]]:
+    """Blocks (rows, texels, (8, rows, texels) weights) of the eight matrices of a filter, before normalisation."""
+    rows = len(symmetry(size, device).representatives)
+    texels = FACES * base_size * base_size // OCTANTS
+    if OCTANTS * rows * texels <= _CACHED_WEIGHTS:
+        yield slice(0, rows), slice(0, texels), _stored_weights(base_size, size, alpha, device)
+        return
+    width = min(texels, _BLOCK_WIDTH)
+    height = max(1, _BLOCK_WEIGHTS // (OCTANTS * width))
+    for first_row in range(0, rows, height):
+        for first_texel in range(0, texels, width):
+            block = slice(first_row, min(first_row + height, rows)), slice(first_texel, min(first_texel + width, texels))
+            yield *block, _make_weights(base_size, size, alpha, *block, device)
+
+
+@functools.lru_cache(maxsize=16)
+def _stored_weights(base_size: int, size: int, alpha: float, device: torch.device) -> torch.Tensor:
+    rows, texels = len(symmetry(size, device).representatives), FACES * base_size * base_size // OCTANTS
+    return _make_weights(base_size, size, alpha, slice(0, rows), slice(0, texels), device)
+
+
+def _make_weights(base_size: int, size: int, alpha: float, rows: slice, texels: slice, device: torch.device) -> torch.Tensor:
+    """(8, rows, texels) weights of one block of the eight matrices."""
+    height, width = rows.stop - rows.start, texels.stop - texels.start
+    weights = torch.empty(OCTANTS, height, width, device=device)
+    # On the CPU a thread's inner loop is vectorised over a row's texels; on a GPU neighbouring threads take neighbouring texels.
+    run = 1 if device.type == "cuda" else width
+    normals, octant = _normals(size, device), _octant(base_size, device)
+    launch_range(_lobe_parities, height * (width // run), normals, octant, alpha * alpha, rows.start, texels.start, run, weights)
+    return weights
+
+
+@functools.lru_cache(maxsize=16)
+def _normals(size: int, device: torch.device) -> torch.Tensor:
+    """(R, 3) directions of the representatives."""
+    tables = symmetry(size, device)
+    return texel_directions(size, device=device).view(-1, 3)[tables.flips[0][tables.representatives]].contiguous()
+
+
+@functools.lru_cache(maxsize=16)
+def _octant(size: int, device: torch.device) -> torch.Tensor:
+    """(4, U): x, y and z of the directions, and the solid angles, of the texels of the positive octant."""
+    areas = texel_solid_angles(size, device=device).expand(FACES, size, size)
+    values = torch.cat([texel_directions(size, device=device), areas[..., None]], dim=-1).view(-1, 4)
+    return values[symmetry(size, device).flips[0]].T.contiguous()
+
+
+_LOBE_RUN = """
+    const float* x = octant.data + texel;
+    const float* y = x + octant.shape[1];
+    const float* z = y + octant.shape[1];
+    const float* area = z + octant.shape[1];
+    const int plane = weights.shape[1] * weights.shape[2];
+    float* __restrict__ out = weights.data + place;
+    const float slope = 0.25f * (1.0f - alpha_squared);
+    for (int i = 0; i < run; ++i) {
+        // Squared distances along each axis, as it is and flipped.
+        const float dx[2] = {(normal[0] - x[i]) * (normal[0] - x[i]), (normal[0] + x[i]) * (normal[0] + x[i])};
+        const float dy[2] = {(normal[1] - y[i]) * (normal[1] - y[i]), (normal[1] + y[i]) * (normal[1] + y[i])};
+        const float dz[2] = {(normal[2] - z[i]) * (normal[2] - z[i]), (normal[2] + z[i]) * (normal[2] + z[i])};
+        float w[8];
+        #pragma unroll
+        for (int f = 0; f < 8; ++f) {
+            const float distance = dx[f & 1] + dy[f >> 1 & 1] + dz[f >> 2];
+            const float falloff = alpha_squared / (alpha_squared + slope * distance);
+            const float cosine = 1.0f - 0.5f * distance;
+            w[f] = area[i] * (cosine > 0.0f ? cosine : 0.0f) * falloff * falloff;
+        }
+        #pragma unroll
+        for (int bit = 1; bit < 8; bit *= 2) {
+            #pragma unroll
+            for (int f = 0; f < 8; ++f) {
+                if (f & bit) continue;
+                const float a = w[f], b = w[f | bit];
+                w[f] = a + b;
+                w[f | bit] = a - b;
+            }
+        }
+        #pragma unroll
+        for (int p = 0; p < 8; ++p) out[p * plane + i] = w[p];
+    }
+"""
+"""k(c) of this file's head for the eight flips of each texel in a run, and their fast Walsh-Hadamard transform.
+
+It is native because only then does LLVM vectorise the loop, which makes it twenty times as fast; `reference.filtering` specifies it.
+1 - c is half the squared distance of the unit vectors, which does not cancel where the lobe is narrow.
+"""
+
+
+@wp.func_native(_LOBE_RUN)
+def _lobe_run(
+    normal: wp.vec3,
+    octant: wp.array2d[wp.float32],
+    alpha_squared: wp.float32,
+    texel: wp.int32,
+    run: wp.int32,
+    place: wp.int32,
+    weights: wp.array3d[wp.float32],
+): ...
+
+
+@wp.kernel(enable_backward=False)
+def _lobe_parities(
+    first: wp.int32,
+    normals: wp.array[wp.vec3],
+    octant: wp.array2d[wp.float32],
+    alpha_squared: wp.float32,
+    first_row: wp.int32,
+    first_texel: wp.int32,
+    run: wp.int32,
+    weights: wp.array3d[wp.float32],
+):
+    """The eight parities of the weights of one normal for a run of texels."""
+    place = (first + wp.tid()) * run
+    row = place // weights.shape[2]
+    texel = first_texel + place % weights.shape[2]
+    _lobe_run(normals[first_row + row], octant, alpha_squared, texel, run, place, weights)
+
+
+def _check(cubemap: torch.Tensor, sizes: Sequence[int]) -> None:
+    check_tensor("radiance", cubemap, shape=(FACES, "S", "S", "C"))
+    if cubemap.shape[1] != cubemap.shape[2]:
+        raise UserError("radiance", expected="square faces", found=tuple(cubemap.shape))
+    for size in (cubemap.shape[1], *sizes):
+        if size < 2 or size % 2:
+            raise UserError("cubemap size", expected="an even number", found=size)

@@ -1,0 +1,59 @@
+"""Where a projected Gaussian can be seen: the ellipse inside which its alpha is at least ALPHA_MIN."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import warp as wp
+
+from samira_warp.constants import ALPHA_MIN
+
+ROUNDING = wp.constant(1.0 - 2.0**-21)
+"""Scales xx * yy in the determinant of a conic: float32 can then only make an ellipse larger, never lose a pixel of it."""
+
+
+@wp.func
+def visible_sigma(opacity: wp.float32) -> wp.float32:
+    """The sigma at which opacity * exp(-sigma) falls to ALPHA_MIN, and a margin for rounding; -1 where alpha never gets there."""
+    if not (opacity >= wp.static(ALPHA_MIN) and wp.isfinite(opacity)):
+        return float(-1.0)
+    return wp.log(opacity * wp.static(1.0 / ALPHA_MIN)) * 1.0001 + 0.001
+
+
+@wp.func
+def half_extent(conic: wp.vec3, sigma: wp.float32) -> wp.vec2:
+    """Half the width and height, in pixels, of the box round the ellipse (1/2) d' K d <= sigma."""
+    product = conic[0] * conic[2]
+    determinant = wp.max(product * ROUNDING - conic[1] * conic[1], 1.0e-12 * product)
+    return wp.vec2(wp.sqrt(2.0 * sigma * conic[2] / determinant), wp.sqrt(2.0 * sigma * conic[0] / determinant))
+
+
+@wp.func
+def quadratic(conic: wp.vec3, x: wp.float32, y: wp.float32) -> wp.float32:
+    """sigma = (1/2) d' K d at the offset d = (x, y) from the mean."""
+    return 0.5 * (conic[0] * x * x + conic[2] * y * y) + conic[1] * x * y
+
+
+@wp.func
+def touches(mean: wp.vec2, conic: wp.vec3, sigma: wp.float32, low: wp.vec2, high: wp.vec2) -> wp.bool:
+    """Whether the ellipse meets the rectangle [low, high].
+
+    The least sigma over the rectangle lies at the mean if it is inside, else on an edge that faces the mean, where it is the minimum
+    of a parabola, clamped to the edge.
+    """
+    nearest = wp.vec2(wp.clamp(mean[0], low[0], high[0]), wp.clamp(mean[1], low[1], high[1])) - mean
+    if nearest[0] == 0.0 and nearest[1] == 0.0:
+        return True
+    least = float(wp.inf)
+    if nearest[0] != 0.0:
+        y = wp.clamp(-conic[1] * nearest[0] / conic[2], low[1] - mean[1], high[1] - mean[1])
+        least = quadratic(conic, nearest[0], y)
+    if nearest[1] != 0.0:
+        x = wp.clamp(-conic[1] * nearest[1] / conic[0], low[0] - mean[0], high[0] - mean[0])
+        least = wp.min(least, quadratic(conic, x, nearest[1]))
+    return least <= sigma
+
+
+def pair(first: float, second: float) -> Any:
+    """Two numbers as the wp.vec2 that a kernel takes."""
+    return wp.vec2(first, second)

@@ -1,0 +1,102 @@
+"""Equirectangular panoramas to cubemaps and back.
+
+Direction d sees column u = 0.5 + atan2(d.x, -d.z) / (2 pi) + rotate / 360 (mod 1, from the left) and row acos(d.y) / pi (from the top):
+the centre column lies straight ahead of the camera (-z), the right-hand quarter along +x.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+
+from samira_warp.errors import UserError
+from samira_warp.kernels.cubemap import FACES, texel_directions, texel_solid_angles
+from samira_warp.kernels.cubemap_lookup import sample_cubemap
+from samira_warp.validation import check_tensor
+
+
+def equirect_to_cube(equirect: torch.Tensor, *, size: int, rotate: float = 0.0) -> torch.Tensor:
+    """Resample a panorama as a cubemap; each texel is the mean over its solid angle.
+
+    A panorama much finer than the cubemap is first averaged by solid angle in whole blocks of pixels, then every texel averages samples
+    at least as dense as the remaining pixels, so no light falls between them.
+
+    Args:
+        equirect: (H, W, C) float32, linear.
+        size: S.
+        rotate: Degrees by which the light turns, as in the file's head.
+
+    Returns:
+        (6, S, S, C) float32, differentiable in ``equirect``.
+
+    Raises:
+        UserError: A wrong shape or dtype, or no pixels.
+    """
+    check_tensor("equirect", equirect, shape=("H", "W", "C"))
+    if min(equirect.shape) == 0 or size < 1:
+        raise UserError("equirect", expected="at least one pixel, for a cubemap of at least one texel", found=f"{tuple(equirect.shape)}, {size}")
+    equirect = _shrink(equirect, columns=8 * size)
+    height, width = equirect.shape[:2]
+    samples = max(2, math.ceil(width / (2 * size)))
+    directions = texel_directions(size, device=equirect.device, supersample=samples).view(FACES, size, samples, size, samples, 3)
+    areas = texel_solid_angles(size * samples, device=equirect.device).view(size, samples, size, samples)
+    padded = _wrap(equirect).permute(2, 0, 1)[None]
+    total = equirect.new_zeros(FACES, size, size, equirect.shape[2])
+    for j in range(samples):
+        for i in range(samples):
+            u, v = direction_to_equirect(directions[:, :, j, :, i], rotate=rotate)
+            # One pixel of border on every side: pixel centres of the panorama lie at 1.5, 2.5, ... of the padded one.
+            grid = torch.stack([2 * (u * width + 1) / (width + 2) - 1, 2 * (v * height + 1) / (height + 2) - 1], dim=-1)
+            seen = torch.nn.functional.grid_sample(padded, grid.view(1, -1, size, 2), padding_mode="border", align_corners=False)
+            total = total + areas[:, j, :, i, None] * seen[0].permute(1, 2, 0).view_as(total)
+    return total / areas.sum(dim=(1, 3))[..., None]
+
+
+def cube_to_equirect(cubemap: torch.Tensor, *, height: int) -> torch.Tensor:
+    """Resample a cubemap (6, S, S, C) float32 as a panorama (height, 2 height, C) with rotate = 0; differentiable.
+
+    Each pixel averages samples at least as dense as the texels.
+    """
+    samples = max(1, math.ceil(2 * cubemap.shape[1] / height))
+    directions = equirect_directions(height * samples, device=cubemap.device)
+    seen = sample_cubemap(cubemap, directions.view(-1, 3))
+    return seen.view(height, samples, 2 * height, samples, -1).mean(dim=(1, 3))
+
+
+def direction_to_equirect(directions: torch.Tensor, *, rotate: float = 0.0) -> tuple[torch.Tensor, torch.Tensor]:
+    """Column u and row v, each (...) in [0, 1], that unit directions (..., 3) see."""
+    u = 0.5 + torch.atan2(directions[..., 0], -directions[..., 2]) / (2 * math.pi) + rotate / 360.0
+    v = torch.acos(directions[..., 1].clamp(-1, 1)) / math.pi
+    return u - torch.floor(u), v
+
+
+def equirect_directions(height: int, *, device: torch.device | str = "cpu") -> torch.Tensor:
+    """(height, 2 height, 3) float32 unit directions of a panorama's pixel centres, rotate = 0."""
+    polar = (torch.arange(height, dtype=torch.float64, device=device) + 0.5) * (math.pi / height)
+    around = (torch.arange(2 * height, dtype=torch.float64, device=device) + 0.5) * (math.pi / height) - math.pi
+    polar, around = torch.meshgrid(polar, around, indexing="ij")
+    directions = [torch.sin(polar) * torch.sin(around), torch.cos(polar), -torch.sin(polar) * torch.cos(around)]
+    return torch.stack(directions, dim=-1).to(torch.float32)
+
+
+def _shrink(equirect: torch.Tensor, *, columns: int) -> torch.Tensor:
+    """Average whole blocks of pixels, weighted by solid angle, while at least ``columns`` columns are left."""
+    height, width, channels = equirect.shape
+    factor = math.gcd(height, width)
+    factor = max(f for f in range(1, factor + 1) if factor % f == 0 and (f == 1 or width // f >= columns))
+    if factor == 1:
+        return equirect
+    edges = torch.cos(torch.linspace(0.0, math.pi, height + 1, dtype=torch.float64, device=equirect.device))
+    weights = (edges[:-1] - edges[1:]).to(equirect.dtype).view(-1, factor, 1, 1)
+    blocks = equirect.view(height // factor, factor, width // factor, factor * channels)
+    rows = (blocks * weights).sum(dim=1) / weights.sum(dim=1)
+    return rows.view(height // factor, width // factor, factor, channels).mean(dim=2)
+
+
+def _wrap(equirect: torch.Tensor) -> torch.Tensor:
+    """One pixel of border: the other side of the seam left and right, the other side of the pole above and below."""
+    half = equirect.shape[1] // 2
+    poles = equirect[:1].roll(half, dims=1), equirect[-1:].roll(half, dims=1)
+    tall = torch.cat([poles[0], equirect, poles[1]])
+    return torch.cat([tall[:, -1:], tall, tall[:, :1]], dim=1)

@@ -1,0 +1,71 @@
+"""What drives a frame, standardised, and how it enters the feature pyramid (Eq. flame_adain)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import nn
+
+STANDARD_DEVIATION_FLOOR = 1e-4
+"""Below this a condition did not vary in the training frames: it carries nothing and is set to zero."""
+
+CONDITION_LIMIT = 3.0
+"""Deviations; another sequence's conditions are held to what the network can have seen."""
+
+
+class Conditions(NamedTuple):
+    """The head parameters of one frame, split as the paper splits them.
+
+    Attributes:
+        translation: (3,) c_tr.
+        expression: (E,) c_exp.
+        pose: (15,) c_pose: rotation, neck, jaw and both eyes, axis-angle radians.
+    """
+
+    translation: torch.Tensor
+    expression: torch.Tensor
+    pose: torch.Tensor
+
+
+class ConditionStatistics(nn.Module):
+    """Mean and standard deviation of the training frames' conditions; constants of the avatar."""
+
+    def __init__(self, *, expression_size: int, pose_size: int) -> None:
+        super().__init__()
+        for name, size in zip(Conditions._fields, (3, expression_size, pose_size), strict=True):
+            self.register_buffer(f"{name}_mean", torch.zeros(size))
+            self.register_buffer(f"{name}_scale", torch.ones(size))
+
+    @classmethod
+    def of(cls, conditions: list[Conditions]) -> ConditionStatistics:
+        """Measure the statistics of the training frames."""
+        statistics = cls(expression_size=len(conditions[0].expression), pose_size=len(conditions[0].pose))
+        for name in Conditions._fields:
+            stacked = torch.stack([getattr(condition, name) for condition in conditions])
+            deviation = stacked.std(dim=0, correction=0)
+            setattr(statistics, f"{name}_mean", stacked.mean(dim=0))
+            setattr(statistics, f"{name}_scale", torch.where(deviation < STANDARD_DEVIATION_FLOOR, 0.0, 1.0 / deviation))
+        return statistics
+
+    def forward(self, conditions: Conditions) -> Conditions:
+        """Standardise, and clamp to CONDITION_LIMIT deviations; what was constant in training becomes 0."""
+        return Conditions(
+            *(
+                ((value - getattr(self, f"{name}_mean")) * getattr(self, f"{name}_scale")).clamp(-CONDITION_LIMIT, CONDITION_LIMIT)
+                for name, value in zip(Conditions._fields, conditions, strict=True)
+            )
+        )
+
+
+class AdaptiveInstanceNorm(nn.Module):
+    """AdaIN: features normalised per channel, then scaled and shifted by a function of a condition."""
+
+    def __init__(self, channels: int, condition_size: int, *, hidden: int) -> None:
+        super().__init__()
+        self.affine = nn.Sequential(nn.Linear(condition_size, hidden), nn.SiLU(), nn.Linear(hidden, 2 * channels))
+
+    def forward(self, features: torch.Tensor, condition: torch.Tensor) -> torch.Tensor:
+        """Apply to (1, C, H, W) features with a (D,) condition."""
+        scale, shift = self.affine(condition).view(2, 1, -1, 1, 1)
+        return nn.functional.instance_norm(features) * (1.0 + scale) + shift

@@ -1,0 +1,104 @@
+"""The pretrained image encoder E_img, run once per avatar on the reference image."""
+
+from __future__ import annotations
+
+import logging
+import urllib.error
+import urllib.request
+from pathlib import Path
+
+import torch
+from torch import nn
+
+logger = logging.getLogger(__name__)
+
+IMAGE_MEAN = (0.485, 0.456, 0.406)
+"""ImageNet's mean in display values, which the pretrained backbones expect to be subtracted."""
+
+IMAGE_DEVIATION = (0.229, 0.224, 0.225)
+"""ImageNet's standard deviation in display values."""
+
+DEFAULT_ENCODER = "microsoft/resnet-18"
+"""ResNet-18: 11 M parameters, features at strides 4, 8 and 16; any backbone of transformers may stand in."""
+
+HUB_TIMEOUT = 5.0
+"""Seconds to wait for the hub's first answer."""
+
+RANDOM_ENCODER = "random"
+"""Fixed random ResNet-18 features, seeded: what is used where pretrained weights cannot be had."""
+
+
+@torch.no_grad()
+def encode_reference(image: torch.Tensor, *, encoder: str = DEFAULT_ENCODER, levels: int = 3) -> tuple[list[torch.Tensor], str]:
+    """Multi-level features {F_l^img} of the reference image.
+
+    Args:
+        image: (H, W, 3) float32 in display values, 0 to 1.
+        encoder: A backbone's id on the hub, a local folder, or "random".
+        levels: L, number of pyramid levels, from the finest.
+
+    Returns:
+        The features, finest first, each (1, C_l, H_l, W_l) and standardised per channel; and what made them, for the record.
+    """
+    backbone, origin = _load_backbone(encoder, levels)
+    options = {"dtype": image.dtype, "device": image.device}
+    mean, deviation = (torch.tensor(values, **options).view(1, 3, 1, 1) for values in (IMAGE_MEAN, IMAGE_DEVIATION))
+    pixels = (image.permute(2, 0, 1)[None] - mean) / deviation
+    features = backbone.to(image.device).eval()(pixels).feature_maps
+    return [nn.functional.instance_norm(level).contiguous() for level in features], origin
+
+
+def _load_backbone(encoder: str, levels: int) -> tuple[nn.Module, str]:
+    if encoder != RANDOM_ENCODER:
+        try:
+            return _pretrained_backbone(encoder, levels), encoder
+        except (OSError, ValueError) as error:
+            reason = str(error).strip().splitlines()[0]
+            logger.warning("image encoder %s cannot be had (%s): fixed random features stand in for it", encoder, reason)
+    return _random_backbone(levels), RANDOM_ENCODER
+
+
+def _pretrained_backbone(encoder: str, levels: int) -> nn.Module:
+    """The backbone from a local folder, the hub's cache or the hub.
+
+    Raises:
+        OSError: It is in none of them, or is no backbone.
+    """
+    from transformers import AutoBackbone, AutoConfig
+
+    local = Path(encoder).is_dir() or not _hub_answers(encoder)
+    config = AutoConfig.from_pretrained(encoder, out_indices=list(range(1, levels + 1)), local_files_only=local)
+    # AutoBackbone asks the hub even for a local folder; the concrete class does not.
+    concrete = type(AutoBackbone.from_config(config))
+    return concrete.from_pretrained(encoder, config=config, local_files_only=local)
+
+
+def _hub_answers(encoder: str) -> bool:
+    """Whether the hub can be reached, asked once: transformers would retry for half a minute."""
+    from huggingface_hub import constants
+
+    if constants.HF_HUB_OFFLINE:
+        return False
+    request = urllib.request.Request(f"{constants.ENDPOINT}/{encoder}/resolve/main/config.json", method="HEAD")
+    try:
+        urllib.request.urlopen(request, timeout=HUB_TIMEOUT).close()
+    except urllib.error.HTTPError:
+        return True
+    except OSError:
+        return False
+    return True
+
+
+def _random_backbone(levels: int) -> nn.Module:
+    from transformers import ResNetBackbone, ResNetConfig
+
+    config = ResNetConfig(
+        embedding_size=64,
+        hidden_sizes=[64, 128, 256, 512],
+        depths=[2, 2, 2, 2],
+        layer_type="basic",
+        out_features=[f"stage{stage}" for stage in range(1, levels + 1)],
+    )
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(0)
+        return ResNetBackbone(config)

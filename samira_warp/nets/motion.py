@@ -1,0 +1,125 @@
+"""The semantic-adaptive motion network: UV displacement, reference appearance and head parameters to a UV residual map."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import nn
+
+from samira_warp.nets.conditioning import AdaptiveInstanceNorm, Conditions
+from samira_warp.nets.fourier import fourier_channels, fourier_features
+from samira_warp.nets.modulation import RegionModulators
+
+RESIDUAL_CHANNELS = 6
+"""Three of position o_mu and three of rotation o_r (Eq. offset_sample)."""
+
+
+@dataclass(frozen=True)
+class MotionSettings:
+    """Sizes and variants of the motion network.
+
+    Attributes:
+        width: Channels of the shared feature F_sh and of F_pos and F_d.
+        region_width: Channels of each region's feature F_k.
+        condition_width: Hidden units of each AdaIN's affine map.
+        bands: Octaves of the Fourier mappings.
+        routing: Regions have masks of their own; False is one mask of ones and one modulator.
+        modulation: Regions have modulators of their own; False is one modulator behind all masks.
+        displacement: The displacement map is seen; False sets F_d to zero.
+    """
+
+    width: int = 64
+    region_width: int = 32
+    condition_width: int = 64
+    bands: int = 6
+    routing: bool = True
+    modulation: bool = True
+    displacement: bool = True
+
+
+class MotionNetwork(nn.Module):
+    """Eqs. uv_geom_feat to dynamic_map. The last layer starts at zero, so the residual starts at exactly zero."""
+
+    def __init__(
+        self,
+        settings: MotionSettings,
+        *,
+        reference_positions: torch.Tensor,
+        image_features: list[torch.Tensor],
+        masks: torch.Tensor,
+        expression_size: int,
+        pose_size: int,
+    ) -> None:
+        """Make the network for one avatar.
+
+        Args:
+            settings: Sizes and variants.
+            reference_positions: (3, H, W) P_ref scaled to [-1, 1].
+            image_features: L = 3 maps {F_l^img}, each (1, C_l, H_l, W_l), finest first.
+            masks: (K, H, W) disjoint routing masks.
+            expression_size: E.
+            pose_size: Length of c_pose.
+        """
+        super().__init__()
+        self.settings = settings
+        width = settings.width
+        self.register_buffer("reference", fourier_features(reference_positions[None], bands=settings.bands), persistent=False)
+        for level, features in enumerate(image_features):
+            self.register_buffer(f"image_features_{level}", features)
+        channels = fourier_channels(3, bands=settings.bands)
+        self.position = nn.Sequential(nn.Conv2d(channels, width, 1), nn.SiLU(), nn.Conv2d(width, width, 1))
+        self.displacement = nn.Sequential(nn.Conv2d(channels, width, 1), nn.SiLU(), nn.Conv2d(width, width, 1))
+        self.lateral = nn.ModuleList(nn.Conv2d(features.shape[1], width, 1) for features in image_features)
+        self.gates = nn.Parameter(torch.zeros(len(image_features)))
+        condition_sizes = (3, expression_size, pose_size)
+        self.adain = nn.ModuleList(AdaptiveInstanceNorm(width, size, hidden=settings.condition_width) for size in condition_sizes)
+        self.fuse = nn.ModuleList(nn.Conv2d(width, width, 3, padding=1) for _ in image_features)
+        self.shared = nn.Conv2d(2 * width, width, 3, padding=1)
+        routes = masks if settings.routing else torch.ones_like(masks[:1])
+        self.modulators = RegionModulators(2 * width, settings.region_width, masks=routes, shared=not settings.modulation)
+        self.decode = nn.Conv2d(settings.region_width + width, width, 3, padding=1)
+        self.residual = nn.Conv2d(width, RESIDUAL_CHANNELS, 1)
+        nn.init.zeros_(self.residual.weight)
+        nn.init.zeros_(self.residual.bias)
+
+    def forward(self, displacement: torch.Tensor, conditions: Conditions) -> torch.Tensor:
+        """The UV residual map A_uv of one frame.
+
+        Args:
+            displacement: (3, H, W) D_uv in units of 0.01 m.
+            conditions: The frame's standardised conditions.
+
+        Returns:
+            (6, H, W) residuals before their limits: o_mu, then o_r.
+        """
+        position = self.position(self.reference)
+        shared = self._shared_feature(position, conditions)
+        if self.settings.displacement:
+            displaced = self.displacement(fourier_features(displacement[None], bands=self.settings.bands))
+        else:
+            displaced = torch.zeros_like(position)
+        semantic = self.modulators(torch.cat([shared, displaced], dim=1))
+        decoded = nn.functional.silu(self.decode(torch.cat([semantic, shared], dim=1)))
+        return self.residual(decoded)[0]
+
+    def _shared_feature(self, position: torch.Tensor, conditions: Conditions) -> torch.Tensor:
+        """F_sh (Eqs. uv_gate to shared_uv_feature), from coarse to fine: coarse <- pose, middle <- expression, fine <- translation."""
+        fused: torch.Tensor | None = None
+        for level in reversed(range(len(self.lateral))):
+            image = self.lateral[level](getattr(self, f"image_features_{level}"))
+            injected = image + torch.sigmoid(self.gates[level]) * _resize(position, image)
+            features = self.adain[level](injected, conditions[level])
+            features = features if fused is None else features + _resize(fused, features)
+            fused = nn.functional.silu(self.fuse[level](features))
+        return nn.functional.silu(self.shared(torch.cat([_resize(fused, position), position], dim=1)))
+
+
+def _resize(features: torch.Tensor, like: torch.Tensor) -> torch.Tensor:
+    """Bilinear, area-averaged where it shrinks: R_l of Eq. uv_gate."""
+    size = like.shape[-2:]
+    if features.shape[-2:] == size:
+        return features
+    if features.shape[-1] > size[-1]:
+        return nn.functional.adaptive_avg_pool2d(features, size)
+    return nn.functional.interpolate(features, size=size, mode="bilinear", align_corners=False)

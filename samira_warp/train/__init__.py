@@ -1,0 +1,1 @@
+"""Training: from a tracked sequence to an avatar."""

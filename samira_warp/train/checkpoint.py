@@ -1,0 +1,110 @@
+"""Checkpoints: a whole avatar folder, and what training needs beside it to go on with the same bits."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import NamedTuple
+
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save_file
+
+from samira_warp.avatar import Avatar
+from samira_warp.errors import UserError
+from samira_warp.files import read_json, replace_folder
+from samira_warp.train.density import DensityStatistics
+from samira_warp.train.tracking import TrackedParameters
+
+KEPT = 2
+"""Checkpoints that stay on the disk, the newest ones."""
+
+TRAINING_FILE = "training.safetensors"
+STEP_FILE = "training.json"
+
+
+class TrainingState(NamedTuple):
+    """What changes from step to step.
+
+    Attributes:
+        step: Number of steps done.
+        avatar: The avatar.
+        tracked: The training frames' parameters.
+        optimizer: Adam, with its moments.
+        density: Statistics since the last density control event.
+    """
+
+    step: int
+    avatar: Avatar
+    tracked: TrackedParameters
+    optimizer: torch.optim.Adam
+    density: DensityStatistics
+
+
+def save_checkpoint(folder: Path, state: TrainingState, *, record: dict) -> Path:
+    """Write ``folder``/step_NNNNNN and drop older checkpoints; a failure or an interrupt leaves the previous ones whole."""
+    target = folder / f"step_{state.step:06d}"
+
+    def write(fresh: Path) -> None:
+        state.avatar.save(fresh, record=record)
+        save_file(_training_tensors(state), fresh / TRAINING_FILE)
+        (fresh / STEP_FILE).write_text(json.dumps({"step": state.step}), encoding="utf-8")
+
+    replace_folder(target, write)
+    for old in _checkpoints(folder)[:-KEPT]:
+        shutil.rmtree(old)
+    return target
+
+
+def last_checkpoint(folder: Path) -> Path:
+    """The newest checkpoint of a run.
+
+    Raises:
+        UserError: There is none.
+    """
+    found = _checkpoints(folder)
+    if not found:
+        raise UserError(folder, expected="a checkpoint to resume from", found="none")
+    return found[-1]
+
+
+def load_training(path: Path, optimizer: torch.optim.Adam, tracked: TrackedParameters, density: DensityStatistics) -> int:
+    """Put a checkpoint's training state into objects that were made for its avatar.
+
+    Returns:
+        The number of steps done.
+
+    Raises:
+        UserError: A file is missing or broken.
+    """
+    try:
+        tensors = load_file(path / TRAINING_FILE)
+    except (OSError, SafetensorError) as error:
+        raise UserError(path / TRAINING_FILE, expected="the training state", found=error) from error
+    tracked.load_state_dict({name.removeprefix("tracked."): value for name, value in tensors.items() if name.startswith("tracked.")})
+    density.gradient.copy_(tensors["density.gradient"])
+    density.views.copy_(tensors["density.views"])
+    for group in optimizer.param_groups:
+        for index, parameter in enumerate(group["params"]):
+            prefix = f"adam.{group['name']}.{index}."
+            moments = {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}
+            if moments:
+                step = moments.pop("step")
+                optimizer.state[parameter] = {"step": step, **{name: value.to(parameter.device) for name, value in moments.items()}}
+    return int(read_json(path / STEP_FILE)["step"])
+
+
+def _training_tensors(state: TrainingState) -> dict[str, torch.Tensor]:
+    tensors = {f"tracked.{name}": value for name, value in state.tracked.state_dict().items()}
+    tensors |= {"density.gradient": state.density.gradient, "density.views": state.density.views}
+    for group in state.optimizer.param_groups:
+        for index, parameter in enumerate(group["params"]):
+            for name, value in state.optimizer.state.get(parameter, {}).items():
+                tensors[f"adam.{group['name']}.{index}.{name}"] = value
+    return tensors
+
+
+def _checkpoints(folder: Path) -> list[Path]:
+    """Whole checkpoints, oldest first."""
+    return sorted(path for path in folder.glob("step_*") if (path / STEP_FILE).is_file())

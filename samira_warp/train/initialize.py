@@ -1,0 +1,135 @@
+"""Everything that is decided before the first step: reference frame, textures, Gaussians and statistics."""
+
+from __future__ import annotations
+
+import torch
+
+from samira_warp.avatar import CanonicalHead, Gaussians, conditions_of, geometry_uv
+from samira_warp.avatar.canonical import neck_rotation
+from samira_warp.data import PixelCache, Sequence
+from samira_warp.head.geometry import face_areas, vertex_normals
+from samira_warp.kernels.gather import bilinear_table, gather
+from samira_warp.kernels.triangle_frames import triangle_frames
+from samira_warp.nets import ConditionStatistics
+from samira_warp.train.unwrap import View, unwrap
+
+DENSE_GROUPS = ("left_eye_region", "right_eye_region", "lips")
+DENSE_FACTOR = 3.0
+"""Expression happens at eyes and lips: they get three times the Gaussians per area."""
+
+SPARSE_GROUPS = ("left_eyeball", "right_eyeball")
+SPARSE_FACTOR = 0.5
+"""Most of an eyeball is never seen."""
+
+SIZE_IN_SPACINGS = 0.75
+"""Initial standard deviation along the surface, in spacings: neighbours overlap enough to leave no holes."""
+
+FLATNESS = 0.2
+"""Initial standard deviation along the normal, as a share of that along the surface."""
+
+FRONTAL_DEGREES = 10.0
+"""In the choice of the reference frame, this many degrees off the frontal pose weigh as much as one standard deviation of expression."""
+
+ALBEDO_VIEWS = 12
+"""Frames that the initial albedo is unwrapped from, evenly spaced over the training frames."""
+
+
+def condition_statistics(sequence: Sequence) -> ConditionStatistics:
+    """Statistics of the training frames' conditions; test frames are not looked at."""
+    return ConditionStatistics.of([conditions_of(sequence.frames[index].parameters) for index in sequence.train])
+
+
+@torch.no_grad()
+def choose_reference(sequence: Sequence, canonical: CanonicalHead, statistics: ConditionStatistics) -> int:
+    """Index of the training frame nearest to mean expression and frontal pose."""
+
+    def score(index: int) -> float:
+        frame = sequence.frames[index]
+        expression = statistics(conditions_of(frame.parameters)).expression
+        forward = neck_rotation(canonical.pose(frame.parameters)) @ canonical.vertices.new_tensor([0.0, 0.0, 1.0])
+        backwards = -frame.camera.world_to_camera[2, :3]
+        angle = torch.rad2deg(torch.acos((forward @ backwards).clamp(-1.0, 1.0)))
+        return float(expression.square().mean().sqrt() + angle / FRONTAL_DEGREES)
+
+    return min(sequence.train, key=score)
+
+
+def view_of(sequence: Sequence, pixels: PixelCache, index: int, *, albedo: bool = False) -> View | None:
+    """One frame's image, or its pseudo-albedo (None where it has none), as it is unwrapped."""
+    frame, content = sequence.frames[index], pixels[index]
+    image = content.albedo if albedo else content.image
+    if image is None:
+        return None
+    height, width = content.mask.shape
+    return View(image, content.mask, frame.parameters, frame.camera.resized(width=width, height=height))
+
+
+def initial_albedo(sequence: Sequence, pixels: PixelCache, canonical: CanonicalHead, reference: torch.Tensor) -> torch.Tensor:
+    """(h, w, 3) display-valued albedo texture: unwrapped pseudo-albedo where the dataset has any, else the reference image."""
+    step = max(len(sequence.train) // ALBEDO_VIEWS, 1)
+    views = [view_of(sequence, pixels, index, albedo=True) for index in sequence.train[::step] if sequence.frames[index].albedo_path]
+    found = [view for view in views if view is not None]
+    return unwrap(found, canonical) if found else reference
+
+
+@torch.no_grad()
+def initial_gaussians(
+    canonical: CanonicalHead, *, count: int, opacity: float, albedo: torch.Tensor, smooth_normals: bool, generator: torch.Generator
+) -> Gaussians:
+    """Sample Gaussians over the reference mesh by area, denser at eyes and lips.
+
+    Args:
+        canonical: The subject's head.
+        count: N.
+        opacity: Initial opacity of all.
+        albedo: (h, w, 3) linear albedo texture.
+        smooth_normals: Start from interpolated vertex normals; False starts from the face's own.
+        generator: Draws the positions.
+    """
+    vertices, faces = canonical.vertices, canonical.topology.faces.long()
+    areas = face_areas(vertices, faces)
+    density = _density_factors(canonical) * count / (areas * _density_factors(canonical)).sum()
+    face_ids = _systematic_sample(areas * density, count, generator)
+    barycentrics = _uniform_barycentrics(count, generator).to(vertices.device)
+    frames = triangle_frames(vertices, canonical.topology)
+    rotation, scale = frames.rotation[face_ids], frames.scale[face_ids]
+    points = torch.einsum("nk,nkc->nc", barycentrics, vertices[faces[face_ids]])
+    means = torch.einsum("nji,nj->ni", rotation, points - frames.translation[face_ids]) / scale[:, None]
+    spread = SIZE_IN_SPACINGS * density[face_ids].rsqrt() / scale
+    scales = torch.stack([spread, FLATNESS * spread, spread], dim=1)
+    world_normals = torch.einsum("nk,nkc->nc", barycentrics, vertex_normals(vertices, faces)[faces[face_ids]])
+    normals = torch.nn.functional.normalize(torch.einsum("nji,nj->ni", rotation, world_normals), dim=1)
+    if not smooth_normals:
+        normals = torch.zeros_like(normals)
+        normals[:, 1] = 1.0
+    ids = face_ids.to(torch.int32)
+    uv = geometry_uv(means, ids, vertices=vertices, topology=canonical.topology, atlas=canonical.atlas)
+    size = canonical.atlas.size
+    colors = gather(albedo.flatten(0, 1).contiguous(), bilinear_table(uv, width=size, height=size))
+    return Gaussians.start(means=means, scales=scales, normals=normals, albedo=colors, faces=ids, uv=uv, opacity=opacity)
+
+
+def _density_factors(canonical: CanonicalHead) -> torch.Tensor:
+    """(F,) relative density: a face counts as in a group when at least two of its corners are."""
+    factors = torch.ones(len(canonical.vertices), device=canonical.vertices.device)
+    for groups, factor in ((DENSE_GROUPS, DENSE_FACTOR), (SPARSE_GROUPS, SPARSE_FACTOR)):
+        for group in groups:
+            members = canonical.template.masks.get(group)
+            if members is not None:
+                factors[torch.from_numpy(members).to(factors.device).long()] = factor
+    return factors[canonical.topology.faces.long()].median(dim=1).values
+
+
+def _systematic_sample(expected: torch.Tensor, count: int, generator: torch.Generator) -> torch.Tensor:
+    """(count,) face ids; each face gets its expected number, rounded up or down."""
+    cumulative = expected.double().cumsum(0)
+    offset = torch.rand(1, generator=generator, dtype=torch.float64)
+    marks = (torch.arange(count, dtype=torch.float64) + offset).to(expected.device) / count * cumulative[-1]
+    return torch.searchsorted(cumulative, marks).clamp(max=len(expected) - 1)
+
+
+def _uniform_barycentrics(count: int, generator: torch.Generator) -> torch.Tensor:
+    """(count, 3) uniform over the triangle: the unit square folded along its diagonal."""
+    pair = torch.rand(count, 2, generator=generator)
+    folded = torch.where(pair.sum(dim=1, keepdim=True) > 1.0, 1.0 - pair, pair)
+    return torch.cat([folded, 1.0 - folded.sum(dim=1, keepdim=True)], dim=1)

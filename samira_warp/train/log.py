@@ -1,0 +1,94 @@
+"""What a run leaves behind while it trains: metrics.jsonl, TensorBoard events, preview grids, the progress bar."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+import torch
+from torch.utils.tensorboard import SummaryWriter
+from tqdm import tqdm
+
+from samira_warp.avatar import Rendering
+from samira_warp.images import write_png
+from samira_warp.light import encode_srgb
+
+LOG_EVERY = 25
+"""Steps between log lines: numbers are read back from the device only then."""
+
+
+class RunLog:
+    """Scalars and pictures of a run; use as a context manager."""
+
+    def __init__(self, folder: Path, *, steps: int, start: int) -> None:
+        self._previews = folder / "preview"
+        self._previews.mkdir(parents=True, exist_ok=True)
+        self._metrics = folder / "metrics.jsonl"
+        _drop_lines_after(self._metrics, start)
+        self._board = SummaryWriter(str(folder), purge_step=start)
+        self._bar = tqdm(total=steps, initial=start, unit="step", dynamic_ncols=True)
+        self._sums: dict[str, torch.Tensor] = {}
+        self._count = 0
+
+    def __enter__(self) -> RunLog:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
+        self._bar.close()
+        self._board.close()
+
+    def add(self, step: int, terms: dict[str, torch.Tensor], *, gaussians: int) -> None:
+        """Add one step's detached scalars; every LOG_EVERY steps their means are written.
+
+        Args:
+            step: Number of steps done.
+            terms: Loss terms and ``mse``, the mean squared error of the image.
+            gaussians: N.
+        """
+        for name, value in terms.items():
+            self._sums[name] = self._sums[name] + value if name in self._sums else value
+        self._count += 1
+        self._bar.update()
+        if step % LOG_EVERY == 0:
+            self._write(step, gaussians)
+
+    def preview(self, step: int, rendering: Rendering, truth: torch.Tensor) -> None:
+        """Write one preview grid: image | truth | albedo | normal | specular light."""
+        grid = preview_grid(rendering, truth)
+        write_png(self._previews / f"{step:06d}.png", grid)
+        self._board.add_image("preview", grid, step, dataformats="HWC")
+
+    def _write(self, step: int, gaussians: int) -> None:
+        names = list(self._sums)
+        means = dict(zip(names, (torch.stack([self._sums[name] for name in names]) / self._count).tolist(), strict=True))
+        psnr = -10.0 * float(np.log10(max(means.pop("mse"), 1e-12)))
+        line = {"step": step, "loss": sum(means.values()), "psnr": psnr, "gaussians": gaussians, **means}
+        with self._metrics.open("a", encoding="utf-8") as file:
+            file.write(json.dumps(line) + "\n")
+        for name, value in line.items():
+            if name != "step":
+                self._board.add_scalar(f"train/{name}", value, step)
+        self._bar.set_postfix_str(f"loss {line['loss']:.4f}, PSNR {psnr:.2f} dB, {gaussians} Gaussians", refresh=False)
+        self._sums, self._count = {}, 0
+
+
+def preview_grid(rendering: Rendering, truth: torch.Tensor) -> np.ndarray:
+    """(H, 5 W, 3) display values: image | truth | albedo | normal | specular light, each on white."""
+    gbuffer = rendering.gbuffer
+    alpha = gbuffer.alpha
+    panels = [rendering.image, truth]
+    panels += [
+        alpha * panel + (1.0 - alpha)
+        for panel in (encode_srgb(gbuffer.albedo), 0.5 * (gbuffer.normal + 1.0), encode_srgb(rendering.specular_light))
+    ]
+    return torch.cat(panels, dim=1).clamp(0.0, 1.0).detach().cpu().numpy()
+
+
+def _drop_lines_after(path: Path, step: int) -> None:
+    """Forget what was logged after the checkpoint that a run goes on from."""
+    if not path.exists():
+        return
+    lines = [line for line in path.read_text(encoding="utf-8").splitlines() if line.endswith("}") and json.loads(line)["step"] <= step]
+    path.write_text("".join(line + "\n" for line in lines), encoding="utf-8")

@@ -1,0 +1,106 @@
+"""The training objective (Eqs. rgb to total_loss) and the terms of our own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import kornia
+import torch
+
+from samira_warp.avatar import Avatar, Rendering
+from samira_warp.light import decode_srgb
+from samira_warp.train.config import LossWeights
+
+SSIM_WINDOW = 11
+"""Pixels; Gaussian with sigma 1.5 (3DGS)."""
+
+SURFACE_ALPHA = 0.5
+"""Neighbouring pixels both covered more than this make a pair of the smoothness term."""
+
+ALBEDO_MASK = 0.95
+"""Pseudo-albedo is compared where the matte is above this: at soft edges it is mixed with the background."""
+
+
+class Target(NamedTuple):
+    """One training frame's pixels on the device.
+
+    Attributes:
+        image: (H, W, 3) display values on white.
+        mask: (H, W) matte, 0..1.
+        albedo: (H, W, 3) linear pseudo-albedo, or None.
+    """
+
+    image: torch.Tensor
+    mask: torch.Tensor
+    albedo: torch.Tensor | None
+
+
+Perceptual = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
+
+
+def total_loss(
+    rendering: Rendering,
+    target: Target,
+    avatar: Avatar,
+    weights: LossWeights,
+    *,
+    stage_two: bool,
+    perceptual: Perceptual | None,
+) -> dict[str, torch.Tensor]:
+    """Every weighted term by name; the objective is their sum.
+
+    Args:
+        rendering: The rendered frame.
+        target: The true one.
+        avatar: Whose parameters are regularised.
+        weights: The lambdas.
+        stage_two: Normal and response terms are on.
+        perceptual: LPIPS of two (H, W, 3) display images, or None when it is off.
+    """
+    prediction, truth = (image.permute(2, 0, 1)[None] for image in (rendering.image, target.image))
+    terms = {
+        "l1": (1.0 - weights.ssim) * (prediction - truth).abs().mean(),
+        "ssim": weights.ssim * (1.0 - kornia.metrics.ssim(prediction, truth, SSIM_WINDOW).mean()),
+        "mask": weights.mask * (rendering.gbuffer.alpha[..., 0] - target.mask).abs().mean(),
+    }
+    if perceptual is not None:
+        terms["lpips"] = weights.lpips * perceptual(rendering.image, target.image)
+    if target.albedo is not None:
+        terms["albedo"] = weights.albedo * albedo_loss(rendering.gbuffer.albedo, target)
+    if stage_two:
+        terms["normal_smoothness"] = weights.normal_smoothness * normal_smoothness(rendering.gbuffer.normal, rendering.gbuffer.alpha)
+        terms["normal_prior"] = weights.normal_prior * normal_prior(avatar.gaussians.normals, avatar.gaussians.initial_normals)
+        terms["response"] = weights.response * avatar.response_logits.square().mean()
+    return terms
+
+
+def normal_smoothness(normal: torch.Tensor, alpha: torch.Tensor) -> torch.Tensor:
+    """L_n^sm: mean of 1 - n_p . n_q over horizontal and vertical neighbours that are both surface.
+
+    Args:
+        normal: (H, W, 3) unit.
+        alpha: (H, W, 1).
+    """
+    surface = (alpha[..., 0] > SURFACE_ALPHA).to(normal.dtype)
+    right = surface[:, 1:] * surface[:, :-1]
+    down = surface[1:] * surface[:-1]
+    difference = (right * (1.0 - (normal[:, 1:] * normal[:, :-1]).sum(-1))).sum()
+    difference = difference + (down * (1.0 - (normal[1:] * normal[:-1]).sum(-1))).sum()
+    return difference / (right.sum() + down.sum()).clamp(min=1.0)
+
+
+def normal_prior(normals: torch.Tensor, initial: torch.Tensor) -> torch.Tensor:
+    """L_n^prior: mean of 1 - n^c . n^m over (N, 3) canonical normals, normalised here, and their unit initialisation."""
+    return (1.0 - (torch.nn.functional.normalize(normals, dim=-1) * initial).sum(-1)).mean()
+
+
+def albedo_loss(albedo: torch.Tensor, target: Target) -> torch.Tensor:
+    """L_alb: mean absolute difference of straight linear albedo (H, W, 3) inside the matte."""
+    inside = (target.mask > ALBEDO_MASK).to(albedo.dtype)[..., None]
+    return (inside * (albedo - target.albedo).abs()).sum() / (3.0 * inside.sum()).clamp(min=1.0)
+
+
+def linear_albedo(albedo: torch.Tensor, *, color_space: str) -> torch.Tensor:
+    """Pseudo-albedo as it is compared: decoded from sRGB, or as stored where shading works in image values."""
+    return decode_srgb(albedo) if color_space == "srgb" else albedo

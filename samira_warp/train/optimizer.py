@@ -1,0 +1,58 @@
+"""Adam over named parameter groups, each with its scheduled rate."""
+
+from __future__ import annotations
+
+import torch
+from torch import nn
+
+from samira_warp.avatar import Avatar
+from samira_warp.avatar.gaussians import Gaussians
+from samira_warp.train.config import learning_rate
+from samira_warp.train.tracking import TrackedParameters
+
+ADAM_EPSILON = 1e-15
+"""Far below any gradient here, as 3DGS has it: the default 1e-8 would damp the small gradients of single Gaussians."""
+
+
+def make_optimizer(avatar: Avatar, tracked: TrackedParameters) -> torch.optim.Adam:
+    """One group a rate, named as in `config.RATES`; Gaussians' groups hold one parameter each."""
+    groups: dict[str, list[nn.Parameter]] = {name: [getattr(avatar.gaussians, name)] for name in Gaussians.PARAMETERS}
+    groups["response"] = [avatar.response_logits]
+    groups["network"] = list(avatar.motion.parameters())
+    groups["light"] = list(avatar.light.parameters())
+    groups["expression"] = [tracked.expression]
+    groups["pose"] = [tracked.rotation, tracked.neck, tracked.jaw, tracked.eyes]
+    groups["translation"] = [tracked.translation]
+    return torch.optim.Adam(
+        [{"params": parameters, "name": name} for name, parameters in groups.items()], lr=0.0, eps=ADAM_EPSILON, fused=True
+    )
+
+
+def set_rates(optimizer: torch.optim.Adam, *, step: int, steps: int) -> None:
+    """Give every group its rate at ``step`` of ``steps``."""
+    for group in optimizer.param_groups:
+        group["lr"] = learning_rate(group["name"], step=step, steps=steps)
+
+
+def replace_gaussians(optimizer: torch.optim.Adam, old: Gaussians, new: Gaussians, kept: torch.Tensor) -> None:
+    """Put new Gaussians in the optimiser, with the moments of those that stay and zero moments for those that are new.
+
+    Args:
+        optimizer: The optimiser that holds ``old``.
+        old: The Gaussians before density control.
+        new: The Gaussians after it: first those at ``kept``, then new ones.
+        kept: (M,) indices into ``old``.
+    """
+    for group in optimizer.param_groups:
+        if group["name"] not in Gaussians.PARAMETERS:
+            continue
+        before, after = getattr(old, group["name"]), getattr(new, group["name"])
+        group["params"] = [after]
+        state = optimizer.state.pop(before, None)
+        if state is None:
+            continue
+        for moment in ("exp_avg", "exp_avg_sq"):
+            grown = torch.zeros_like(after)
+            grown[: len(kept)] = state[moment][kept]
+            state[moment] = grown
+        optimizer.state[after] = state

@@ -1,0 +1,143 @@
+"""One training run from its configuration to its results."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from samira_warp.avatar import Avatar
+from samira_warp.avatar.frames import DrivingFrame, write_frames
+from samira_warp.data import PixelCache, Sequence, open_sequence
+from samira_warp.errors import UserError
+from samira_warp.evaluate import ImagePair, evaluate_images, find_lpips
+from samira_warp.evaluate.lpips import Lpips
+from samira_warp.files import read_json, replace_file, replace_folder
+from samira_warp.images import to_uint8
+from samira_warp.train.checkpoint import last_checkpoint
+from samira_warp.train.config import PRESETS, Schedule, TrainConfig
+from samira_warp.train.setup import PIXEL_CACHE_BYTES, image_size, plain_settings, resolve, run_record, start
+from samira_warp.train.trainer import Trainer
+
+FREE_ON_RESUME = ("resume", "data", "out", "device", "checkpoint_every", "preview_every", "lpips_weights")
+"""Settings that may differ when a run goes on: they say where things are, not what is computed."""
+
+TRAINING_LPIPS = {"cpu": "alex", "paper": "vgg"}
+"""VGG at 256 x 256 is 120 GFLOP a step, too much for two cores."""
+
+
+def train(config: TrainConfig) -> Path | None:
+    """Train an avatar, write its run folder and score it on the test frames.
+
+    Everything that can be checked without decoding images is checked before the run folder is touched.
+
+    Returns:
+        The run folder, or None when Ctrl-C ended the run early (a checkpoint was saved).
+
+    Raises:
+        UserError: The configuration or the dataset cannot be used.
+    """
+    config = resolve(config)
+    sequence = open_sequence(config.data, split=config.split, flame=config.flame)
+    perceptual = find_lpips(TRAINING_LPIPS[config.preset], config.lpips_weights)
+    steps = min(config.epochs * len(sequence.train), config.max_steps or sys.maxsize)
+    checkpoint = _checkpoint_to_resume(config)
+    width, height = image_size(sequence, config.resolution)
+    with PixelCache(sequence.frames, width=width, height=height, max_bytes=PIXEL_CACHE_BYTES) as pixels:
+        begun = start(config, sequence, pixels, steps=steps)
+        record = run_record(config, sequence, begun, steps=steps)
+        trainer = Trainer(
+            config,
+            sequence,
+            pixels,
+            begun.avatar if checkpoint is None else Avatar.load(checkpoint, device=config.device),
+            size=(width, height),
+            schedule=Schedule(steps),
+            perceptual=perceptual.to(config.device) if isinstance(perceptual, Lpips) else None,
+            cap=max(PRESETS[config.preset].gaussian_cap, config.gaussians),
+        )
+        if checkpoint is not None:
+            trainer.resume(checkpoint)
+        config.out.mkdir(parents=True, exist_ok=True)
+        _announce(sequence, begun.encoder, perceptual, config)
+        replace_file(config.out / "config.json", json.dumps(record, indent=1))
+        if not trainer.run(config.out, record=record):
+            print(f"stopped at step {trainer.step} of {steps}; go on with the same command and --resume", file=sys.stderr)
+            return None
+        replace_folder(config.out / "avatar", lambda folder: _write_result(folder, trainer, record))
+        results = score(trainer, perceptual)
+        replace_file(config.out / "results.json", json.dumps(results, indent=1))
+    print(json.dumps({name: value for name, value in results.items() if name not in ("frames", "protocol")}))
+    return config.out
+
+
+@torch.no_grad()
+def score(trainer: Trainer, lpips: Lpips | str) -> dict[str, Any]:
+    """Render the test frames with the parameters they came with, and score them in 8 bits against the truth."""
+    sequence, avatar = trainer.sequence, trainer.avatar
+    light = avatar.light()
+
+    def pairs():  # noqa: ANN202 - a generator of ImagePair
+        for index in sequence.test:
+            frame, content = sequence.frames[index], trainer.pixels[index]
+            rendering = avatar.render(frame.parameters.to(trainer.device), trainer.camera(frame), light)
+            prediction = torch.from_numpy(to_uint8(rendering.image.cpu().numpy())).float() / 255.0
+            yield ImagePair(frame.name, prediction, content.image, mask=content.mask)
+
+    width, height = trainer.size
+    protocol = {
+        "split": f"test frames of --split {trainer.config.split}",
+        "size": [width, height],
+        "bits": "8-bit predictions, box-resized truth",
+        "parameters": "as tracked",
+    }
+    return evaluate_images(pairs(), lpips=lpips, protocol=protocol)
+
+
+def _write_result(folder: Path, trainer: Trainer, record: dict[str, Any]) -> None:
+    """The avatar with its frames: fine-tuned parameters where it trained, the tracker's elsewhere."""
+    trainer.avatar.save(folder, record=record)
+    frames = trainer.sequence.frames
+    fitted = {index: trainer.tracked.frame(row, frames[index].parameters) for row, index in enumerate(trainer.sequence.train)}
+    parts = [(index, "test") for index in trainer.sequence.test] + [(index, "train") for index in trainer.sequence.train]
+    driving = [
+        DrivingFrame(frames[index].name, fitted.get(index, frames[index].parameters), trainer.camera(frames[index]), part)
+        for index, part in parts
+    ]
+    write_frames(folder, driving)
+
+
+def _checkpoint_to_resume(config: TrainConfig) -> Path | None:
+    """The checkpoint to go on from, or None for a new run.
+
+    Raises:
+        UserError: There is no checkpoint to resume, its settings are others, or a run would be overwritten.
+    """
+    folder = config.out / "checkpoints"
+    if not config.resume:
+        if any(folder.glob("step_*")):
+            raise UserError(
+                config.out, expected="a new run folder, or --resume to go on with the run there", found="a run with checkpoints"
+            )
+        return None
+    checkpoint = last_checkpoint(folder)
+    then = read_json(config.out / "config.json")["settings"]
+    now = json.loads(json.dumps(plain_settings(config)))
+    for name, value in now.items():
+        if name not in FREE_ON_RESUME and then.get(name) != value:
+            option = f"--{name.replace('_', '-')}"
+            raise UserError(f"{config.out}: {option}", expected=f"{then.get(name)} as the run was begun", found=value)
+    return checkpoint
+
+
+def _announce(sequence: Sequence, encoder: str, perceptual: Lpips | str, config: TrainConfig) -> None:
+    """Say what will be trained, and which optional parts are missing and why."""
+    print(f"{sequence.root.name}: {len(sequence.train)} training and {len(sequence.test)} test frames on {config.device}", file=sys.stderr)
+    print(f"image encoder: {encoder}", file=sys.stderr)
+    if isinstance(perceptual, str):
+        print(f"no LPIPS term: {perceptual}", file=sys.stderr)
+    if not any(sequence.frames[index].albedo_path for index in sequence.train):
+        print("no pseudo-albedo: the absolute brightness of a relit image is undefined", file=sys.stderr)

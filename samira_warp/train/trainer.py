@@ -1,0 +1,161 @@
+"""The training loop."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from samira_warp.avatar import Avatar, Gaussians, Rendering, geometry_uv
+from samira_warp.camera import Camera
+from samira_warp.data import Frame, PixelCache, Sequence
+from samira_warp.evaluate.lpips import Lpips
+from samira_warp.kernels.triangle_frames import triangle_frames
+from samira_warp.train.checkpoint import TrainingState, load_training, save_checkpoint
+from samira_warp.train.config import LossWeights, Schedule, TrainConfig
+from samira_warp.train.density import DensityStatistics, control_density, reset_opacity
+from samira_warp.train.interrupt import StopRequest
+from samira_warp.train.log import RunLog
+from samira_warp.train.losses import Target, linear_albedo, total_loss
+from samira_warp.train.optimizer import make_optimizer, replace_gaussians, set_rates
+from samira_warp.train.setup import loss_weights
+from samira_warp.train.tracking import TrackedParameters
+
+PREFETCH = 8
+"""Frames decoded ahead of the step that needs them."""
+
+
+class Trainer:
+    """Fits an avatar to a sequence, one frame a step.
+
+    Every random choice is a function of the seed and the step, so a run that goes on from a checkpoint makes the same ones.
+    """
+
+    def __init__(
+        self,
+        config: TrainConfig,
+        sequence: Sequence,
+        pixels: PixelCache,
+        avatar: Avatar,
+        *,
+        size: tuple[int, int],
+        schedule: Schedule,
+        perceptual: Lpips | None,
+        cap: int,
+    ) -> None:
+        self.config, self.sequence, self.pixels, self.avatar = config, sequence, pixels, avatar
+        self.size, self.schedule, self.cap = size, schedule, cap
+        self.weights: LossWeights = loss_weights(config)
+        self.perceptual = perceptual
+        self.device = torch.device(config.device)
+        self.tracked = TrackedParameters([sequence.frames[index].parameters for index in sequence.train]).to(self.device)
+        self.optimizer = make_optimizer(avatar, self.tracked)
+        self.density = DensityStatistics(len(avatar.gaussians), self.device)
+        self.step = 0
+
+    def resume(self, checkpoint: Path) -> None:
+        """Go on from a checkpoint, whose avatar this trainer was made with."""
+        self.step = load_training(checkpoint, self.optimizer, self.tracked, self.density)
+
+    def run(self, folder: Path, *, record: dict[str, Any]) -> bool:
+        """Train to the end of the schedule, with checkpoints and previews in ``folder``.
+
+        Returns:
+            False when Ctrl-C ended it early; a checkpoint was saved.
+        """
+        with RunLog(folder, steps=self.schedule.steps, start=self.step) as log, StopRequest() as stop:
+            while self.step < self.schedule.steps and not stop.asked:
+                self._prefetch()
+                rendering, target, terms = self.train_step()
+                log.add(self.step, terms, gaussians=len(self.avatar.gaussians))
+                if self.step % self.config.preview_every == 0 or self.step == self.schedule.steps:
+                    log.preview(self.step, rendering, target.image)
+                if self.step % self.config.checkpoint_every == 0 or self.step == self.schedule.steps:
+                    self.save(folder, record)
+            finished = self.step == self.schedule.steps
+            if not finished:
+                self.save(folder, record)
+        return finished
+
+    def save(self, folder: Path, record: dict[str, Any]) -> Path:
+        """Write a checkpoint of the current step."""
+        state = TrainingState(self.step, self.avatar, self.tracked, self.optimizer, self.density)
+        return save_checkpoint(folder / "checkpoints", state, record=record)
+
+    def train_step(self) -> tuple[Rendering, Target, dict[str, torch.Tensor]]:
+        """One frame forward, backward and updated; the rendering, what it should be, and the detached loss terms."""
+        row = self._row(self.step)
+        stage_two = "no-two-stage" in self.config.ablate or self.schedule.in_stage_two(self.step)
+        self.avatar.gaussians.normals.requires_grad_(stage_two)
+        self.avatar.response_logits.requires_grad_(stage_two)
+        set_rates(self.optimizer, step=self.step, steps=self.schedule.steps)
+        frame, target = self._target(row)
+        camera = self.camera(frame)
+        rendering = self.avatar.render(self.tracked.frame(row, frame.parameters.to(self.device)), camera)
+        perceptual = self.perceptual if self.schedule.perceptual_on(self.step) and self._perceptual_turn() else None
+        terms = total_loss(rendering, target, self.avatar, self.weights, stage_two=stage_two, perceptual=perceptual)
+        self.optimizer.zero_grad(set_to_none=True)
+        torch.stack(list(terms.values())).sum().backward()
+        self._gather_density(rendering)
+        self.optimizer.step()
+        self._control_density()
+        self.step += 1
+        error = (rendering.image.detach() - target.image).square().mean()
+        return rendering, target, {**{name: term.detach() for name, term in terms.items()}, "mse": error}
+
+    def camera(self, frame: Frame) -> Camera:
+        """The frame's camera at the training size, on the device."""
+        width, height = self.size
+        return frame.camera.resized(width=width, height=height).to(self.device)
+
+    def _row(self, step: int) -> int:
+        """The training frame of a step: a fresh permutation every epoch, from the seed and the epoch alone."""
+        count = len(self.sequence.train)
+        epoch, place = divmod(step, count)
+        generator = torch.Generator().manual_seed(self.config.seed * 1_000_003 + epoch)
+        return int(torch.randperm(count, generator=generator)[place])
+
+    def _prefetch(self) -> None:
+        ahead = range(self.step, min(self.step + PREFETCH, self.schedule.steps))
+        self.pixels.prefetch(self.sequence.train[self._row(step)] for step in ahead)
+
+    def _target(self, row: int) -> tuple[Frame, Target]:
+        index = self.sequence.train[row]
+        content = self.pixels[index].to(self.device)
+        wanted = content.albedo is not None and self.weights.albedo > 0.0
+        albedo = linear_albedo(content.albedo, color_space=self.config.color_space) if wanted else None
+        return self.sequence.frames[index], Target(content.image, content.mask, albedo)
+
+    def _perceptual_turn(self) -> bool:
+        """LPIPS is every fourth step's in the cpu preset, and every step's otherwise."""
+        return self.config.preset != "cpu" or self.step % 4 == 0
+
+    def _gather_density(self, rendering: Rendering) -> None:
+        screen = rendering.gbuffer.screen
+        if self.schedule.density_window(self.step) and screen.means2d.grad is not None:
+            height, width = rendering.image.shape[:2]
+            self.density.add(screen.means2d.grad, screen.visible, width=width, height=height)
+
+    def _control_density(self) -> None:
+        """Add and remove Gaussians, reset opacity and refresh UV coordinates where the schedule says so."""
+        avatar, canonical = self.avatar, self.avatar.canonical
+        if self.schedule.density_event(self.step):
+            generator = torch.Generator().manual_seed(self.config.seed * 1_000_003 + self.step)
+            scales = triangle_frames(canonical.vertices, canonical.topology).scale
+            change = control_density(avatar.gaussians, self.density, face_scales=scales, cap=self.cap, generator=generator)
+            replace_gaussians(self.optimizer, avatar.gaussians, change.gaussians, change.kept)
+            self._refresh_uv(change.gaussians)
+            self.density = DensityStatistics(len(change.gaussians), self.device)
+        elif self.schedule.density_ends(self.step):
+            self._refresh_uv(avatar.gaussians)
+        if self.schedule.opacity_reset(self.step):
+            reset_opacity(avatar.gaussians)
+
+    def _refresh_uv(self, gaussians: Gaussians) -> None:
+        """Run Alg. 1 again on the reference mesh."""
+        canonical = self.avatar.canonical
+        gaussians.uv = geometry_uv(
+            gaussians.means.detach(), gaussians.faces, vertices=canonical.vertices, topology=canonical.topology, atlas=canonical.atlas
+        )
+        self.avatar.set_gaussians(gaussians)

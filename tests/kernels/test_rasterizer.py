@@ -1,0 +1,132 @@
+import math
+
+import pytest
+import torch
+
+from samira_warp.camera import Camera
+from samira_warp.kernels.rasterizer import rasterize
+from samira_warp.reference.blending import blend as reference_blend
+from samira_warp.reference.projection import project as reference_project
+
+
+def make_camera(device, width, height):
+    angle = 0.2
+    pose = torch.eye(4)
+    pose[:3, :3] = torch.tensor([[math.cos(angle), 0, math.sin(angle)], [0, 1, 0], [-math.sin(angle), 0, math.cos(angle)]])
+    pose[:3, 3] = torch.tensor([0.02, -0.03, 1.0])
+    return Camera(pose.to(device), 1.2 * width, 1.2 * width, width / 2, height / 2, width, height)
+
+
+def make_scene(generator, device, count=200, channels=4):
+    means = 0.25 * torch.randn(count, 3, generator=generator)
+    quaternions = torch.randn(count, 4, generator=generator)
+    scales = 0.03 * torch.exp(0.6 * torch.randn(count, 3, generator=generator))
+    opacities, features = torch.rand(count, generator=generator), torch.randn(count, channels, generator=generator)
+    return [tensor.to(device) for tensor in (means, quaternions, scales, opacities, features)]
+
+
+def reference(means, quaternions, scales, opacities, features, camera):
+    projection = reference_project(means, quaternions, scales, opacities, camera)
+    order = torch.argsort(projection.depths)
+    order = order[projection.visible[order]]
+    blended = reference_blend(projection.means2d, projection.conics, opacities, features, order, width=camera.width, height=camera.height)
+    return blended.features, 1 - blended.transmittance
+
+
+@pytest.mark.parametrize(("width", "height"), [(48, 32), (37, 41), (1, 1)])
+def test_matches_the_twin(device, generator, width, height):
+    scene, camera = make_scene(generator, device), make_camera(device, width, height)
+    weights = [torch.randn(height, width, 4, generator=generator).to(device), torch.randn(height, width, generator=generator).to(device)]
+    inputs = [tensor.clone().requires_grad_() for tensor in scene]
+    found = rasterize(*inputs, camera)
+    gradients = torch.autograd.grad(found[:2], inputs, weights)
+    doubles = [tensor.double().requires_grad_() for tensor in scene]
+    expected = reference(*doubles, camera)
+    truths = torch.autograd.grad(expected, doubles, [weight.double() for weight in weights])
+    for image, truth in zip(found[:2], expected, strict=True):
+        # a pair that flips at alpha = 1/255 changes a pixel by at most that, times a feature; see test_blending
+        assert ((image - truth).abs() > 5e-5).float().mean() < 5e-3
+        assert (image - truth).abs().max() < 0.04
+    for gradient, truth in zip(gradients, truths, strict=True):
+        assert (gradient.double() - truth).norm() < 3e-3 * truth.norm()
+        assert torch.nn.functional.cosine_similarity(gradient.double().flatten(), truth.flatten(), dim=0) > 1 - 1e-5
+
+
+def test_order_of_the_input_does_not_matter(device, generator):
+    scene, camera = make_scene(generator, device), make_camera(device, 50, 40)
+    shuffle = torch.randperm(200, generator=generator).to(device)
+    one, other = rasterize(*scene, camera), rasterize(*(tensor[shuffle] for tensor in scene), camera)
+    assert torch.equal(one.features, other.features)
+    assert torch.equal(one.alpha, other.alpha)
+    assert torch.equal(one.means2d[shuffle], other.means2d)
+    assert torch.equal(one.visible[shuffle], other.visible)
+
+
+def test_capacity_does_not_change_the_picture(device, generator):
+    scene, camera = make_scene(generator, device), make_camera(device, 50, 40)
+    results = []
+    for capacity in (None, 5000):
+        inputs = [tensor.clone().requires_grad_() for tensor in scene]
+        found = rasterize(*inputs, camera, capacity=capacity)
+        results.append((found.features, found.alpha, *torch.autograd.grad(found.features.square().sum() + found.alpha.sum(), inputs)))
+    for one, other in zip(*results, strict=True):
+        assert torch.equal(one, other)
+
+
+def test_a_capacity_that_is_too_small_loses_the_farthest_and_stays_finite(device, generator):
+    scene, camera = make_scene(generator, device), make_camera(device, 50, 40)
+    inputs = [tensor.clone().requires_grad_() for tensor in scene]
+    found = rasterize(*inputs, camera, capacity=100)
+    gradients = torch.autograd.grad(found.features.square().sum(), inputs)
+    used = gradients[4].abs().sum(dim=1) > 0
+    assert 0 < used.sum() < found.visible.sum()
+    assert all(gradient.isfinite().all() for gradient in gradients)
+    assert found.depths[used].max() < found.depths[found.visible & ~used].max()
+
+
+def test_screen_gradients_and_depth_gradients_reach_the_caller(device, generator):
+    scene, camera = make_scene(generator, device), make_camera(device, 50, 40)
+    scene[0].requires_grad_()
+    found = rasterize(*scene, camera)
+    found.means2d.retain_grad()
+    (found.features.square().sum() + found.depths.sum()).backward()
+    assert (found.means2d.grad[found.visible].abs().sum(dim=1) > 0).any()
+    assert (found.means2d.grad[~found.visible] == 0).all()
+    along_z = scene[0].grad @ camera.world_to_camera[2, :3]
+    assert (along_z[found.visible] != 0).all()
+
+
+@pytest.mark.parametrize("count", [0, 1])
+def test_behind_the_camera_there_is_nothing(device, count):
+    camera = make_camera(device, 20, 20)
+    scene = make_scene(torch.Generator().manual_seed(0), device, count=count)
+    scene[0][:, 2] -= 9.0
+    inputs = [tensor.requires_grad_() for tensor in scene]
+    found = rasterize(*inputs, camera)
+    assert (found.features == 0).all()
+    assert (found.alpha == 0).all()
+    (found.features.sum() + found.alpha.sum() + found.depths.sum()).backward()
+    for tensor in inputs:
+        assert tensor.grad.shape == tensor.shape
+        assert (tensor.grad == 0).all()
+
+
+def test_one_bad_gaussian_spoils_nothing(device, generator):
+    scene, camera = make_scene(generator, device), make_camera(device, 50, 40)
+    without = rasterize(*(torch.cat([tensor[:50], tensor[51:]]) for tensor in scene), camera)
+    for field in range(4):
+        broken = [tensor.clone() for tensor in scene]
+        broken[field][50] = math.nan
+        inputs = [tensor.requires_grad_() for tensor in broken]
+        found = rasterize(*inputs, camera)
+        assert torch.equal(found.features, without.features)
+        gradients = torch.autograd.grad(found.features.square().sum(), inputs)
+        assert all(gradient.isfinite().all() for gradient in gradients)
+        assert all((gradient[50] == 0).all() for gradient in gradients)
+
+
+def test_runs_in_a_long_flat_image(generator):
+    scene = make_scene(generator, "cpu", count=2000)
+    found = rasterize(*scene, make_camera("cpu", 4096, 16))
+    assert found.features.shape == (16, 4096, 4)
+    assert found.features.isfinite().all()
