@@ -16,8 +16,7 @@ import numpy as np
 import torch
 from plyfile import PlyData, PlyElement
 
-from samira_warp.avatar import Avatar
-from samira_warp.avatar.frames import read_frames
+from samira_warp.avatar import Avatar, read_frames
 from samira_warp.avatar.storage import find_avatar
 from samira_warp.cli import run
 from samira_warp.errors import UserError
@@ -47,7 +46,7 @@ def main(config: ExportConfig) -> None:
     """Load, move, write."""
     folder = find_avatar(config.avatar)
     avatar = Avatar.load(folder)
-    frames = sorted(read_frames(folder), key=lambda frame: frame.part)
+    frames = read_frames(folder)
     if not 0 <= config.frame < len(frames):
         raise UserError("--frame", expected=f"0 to {len(frames) - 1}", found=config.frame)
     if config.out.suffix != ".ply":

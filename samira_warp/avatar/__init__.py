@@ -2,6 +2,7 @@
 
 from samira_warp.avatar.avatar import Avatar, AvatarSettings, Motion, Rendering, conditions_of, shade_gbuffer
 from samira_warp.avatar.canonical import CanonicalHead
+from samira_warp.avatar.frames import DrivingFrame, read_frames, write_frames
 from samira_warp.avatar.gaussians import Gaussians
 from samira_warp.avatar.gbuffer import GBuffer, SurfaceAttributes
 from samira_warp.avatar.uv_sampling import geometry_uv
@@ -10,6 +11,7 @@ __all__ = [
     "Avatar",
     "AvatarSettings",
     "CanonicalHead",
+    "DrivingFrame",
     "GBuffer",
     "Gaussians",
     "Motion",
@@ -17,5 +19,7 @@ __all__ = [
     "SurfaceAttributes",
     "conditions_of",
     "geometry_uv",
+    "read_frames",
     "shade_gbuffer",
+    "write_frames",
 ]

@@ -9,6 +9,7 @@ import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
+from samira_warp.avatar.storage import find_avatar
 from samira_warp.camera import Camera
 from samira_warp.errors import UserError
 from samira_warp.head import FrameParameters
@@ -46,13 +47,13 @@ def write_frames(folder: Path, frames: list[DrivingFrame]) -> None:
     save_file({name: value.contiguous() for name, value in tensors.items()}, folder / FRAMES_FILE, metadata=names)
 
 
-def read_frames(folder: Path) -> list[DrivingFrame]:
-    """Read the frames of an avatar folder, on the CPU.
+def read_frames(folder: str | Path) -> list[DrivingFrame]:
+    """Read the frames of an avatar folder, or of the run folder that it is in, on the CPU; test frames first.
 
     Raises:
         UserError: The file is missing or broken.
     """
-    path = folder / FRAMES_FILE
+    path = find_avatar(Path(folder)) / FRAMES_FILE
     try:
         with safe_open(path, framework="pt") as file:
             metadata: dict[str, Any] = file.metadata() or {}

@@ -22,7 +22,7 @@ from torch import Tensor
 
 from samira_warp.kernels import blending_cpu, blending_cuda
 from samira_warp.kernels.runtime import launch_range
-from samira_warp.kernels.splats import pack_splats
+from samira_warp.kernels.splats import RECORD, Octet, pack_splats
 from samira_warp.kernels.tiles import TileBins
 from samira_warp.validation import check_tensor
 
@@ -42,9 +42,7 @@ class Blended(NamedTuple):
     transmittance: Tensor
 
 
-def blend(
-    means2d: Tensor, conics: Tensor, opacities: Tensor, features: Tensor, bins: TileBins, *, width: int, height: int
-) -> Blended:
+def blend(means2d: Tensor, conics: Tensor, opacities: Tensor, features: Tensor, bins: TileBins, *, width: int, height: int) -> Blended:
     """Blend Gaussians into pixels; differentiable in the first four arguments through both results.
 
     Bitwise the same on every run and for any number of threads, gradients included.
@@ -88,10 +86,12 @@ class _Blend(torch.autograd.Function):
         bins = TileBins(*lists, *ctx.grid)
         side = blending_cuda if splats.is_cuda else blending_cpu
         slot_gradients = side.adjoint(splats, bins, blended, transmittance, grad_features.contiguous(), grad_transmittance.contiguous())
-        gradients = slot_gradients.new_empty(bins.order.shape[0], slot_gradients.shape[1])
-        launch_range(_sum_slots, bins.order.shape[0], bins.order, bins.slot_offsets, slot_gradients, gradients, grain=GRAIN)
-        means2d, conics, opacities, features = gradients.split([2, 3, 1, gradients.shape[1] - 6], dim=1)
-        return means2d, conics, opacities[:, 0], features, None, None, None
+        count = bins.order.shape[0]
+        gradients = slot_gradients.new_empty(count, *slot_gradients.shape[1:])
+        launch_range(_sum_slots, count, bins.order, bins.slot_offsets, slot_gradients, gradients, grain=GRAIN)
+        gradients = gradients.flatten(1)
+        features = gradients[:, RECORD : RECORD + blended.shape[2]]
+        return gradients[:, 0:2], gradients[:, 2:5], gradients[:, 5], features, None, None, None
 
 
 @wp.kernel(enable_backward=False)
@@ -99,14 +99,14 @@ def _sum_slots(
     first: wp.int32,
     order: wp.array[wp.int32],
     slot_offsets: wp.array[wp.int32],
-    slot_gradients: wp.array2d[wp.float32],
-    gradients: wp.array2d[wp.float32],
-):
+    slot_gradients: wp.array2d[Octet],
+    gradients: wp.array2d[Octet],
+) -> None:
     """Sum each Gaussian's slots, which lie side by side, in their order."""
     rank = first + wp.tid()
     i = order[rank]
-    for c in range(gradients.shape[1]):
-        total = float(0.0)
+    for octet in range(gradients.shape[1]):
+        total = Octet()
         for slot in range(slot_offsets[rank], slot_offsets[rank + 1]):
-            total += slot_gradients[slot, c]
-        gradients[i, c] = total
+            total += slot_gradients[slot, octet]
+        gradients[i, octet] = total

@@ -19,7 +19,7 @@ from torch import Tensor
 
 from samira_warp.constants import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
 from samira_warp.kernels.runtime import launch_range
-from samira_warp.kernels.splats import RECORD
+from samira_warp.kernels.splats import RECORD, Octet
 from samira_warp.kernels.tiles import TileBins
 
 LANES = 4
@@ -29,14 +29,16 @@ GRAIN = 4
 """Tiles that are worth a thread."""
 
 _CONSTANTS = f"""
-    const float ALPHA_MAX = {ALPHA_MAX!r}f, ALPHA_MIN = {ALPHA_MIN!r}f, TRANSMITTANCE_MIN = {TRANSMITTANCE_MIN!r}f, LN2 = {math.log(2.0)!r}f;
+    #pragma clang fp contract(on)   // within an expression, so that forward and backward round alike
+    const float ALPHA_MAX = {ALPHA_MAX!r}f, ALPHA_MIN = {ALPHA_MIN!r}f, TRANSMITTANCE_MIN = {TRANSMITTANCE_MIN!r}f;
+    const float LN2 = {math.log(2.0)!r}f;
     const int RECORD = {RECORD}, LANES = {LANES};
 """
 
 _TILE = r"""
     typedef float Row __attribute__((ext_vector_type(16)));   // 16 neighbouring pixels, or 16 Gaussians
     typedef int Bits __attribute__((ext_vector_type(16)));
-    const int BATCH = 64;
+    const int BATCH = 32;
     const Row ramp = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
     const Row zero = 0.0f;
 
@@ -45,39 +47,44 @@ _TILE = r"""
     const int stride = splats.shape[1], padded = stride - RECORD;
 
     // the batch: geometry relative to the tile's first pixel centre, features, and the Gaussians that each row meets
-    alignas(64) float mean_x[BATCH] = {}, mean_y[BATCH] = {}, xx[BATCH] = {}, xy[BATCH] = {}, yy[BATCH] = {}, level[BATCH] = {}, cut[BATCH] = {};
+    alignas(64) float mean_x[BATCH] = {}, mean_y[BATCH] = {}, root[BATCH] = {}, shear[BATCH] = {}, rest[BATCH] = {};
+    alignas(64) float level[BATCH] = {}, cut[BATCH] = {};
     const float* feature[BATCH];
     int listed[16][BATCH], count[16];
 
+    auto least = [](Row a, Row b) { return __builtin_elementwise_min(a, b); };
+    auto greatest = [](Row a, Row b) { return __builtin_elementwise_max(a, b); };
+    auto square_root = [](Row v) { return __builtin_elementwise_sqrt(v); };
+    auto whole_number = [](Row v) { return __builtin_convertvector(v, Bits); };
     auto load = [](const float* values) { return *(const Row*)values; };
-    auto largest = [](Row v) { return __builtin_reduce_max(v); };
+    auto any = [](Row v) { return __builtin_reduce_or(__builtin_bit_cast(Bits, v)) != 0; };
 
     auto take_batch = [&](int begin, int size) {
         for (int j = 0; j < size; ++j) {
             const float* splat = splats.data + (size_t)gaussians.data[begin + j] * stride;
             mean_x[j] = splat[0] - (tile_left + 0.5f);
             mean_y[j] = splat[1] - (tile_top + 0.5f);
-            xx[j] = splat[2]; xy[j] = splat[3]; yy[j] = splat[4]; level[j] = splat[5]; cut[j] = splat[6];
+            root[j] = splat[2]; shear[j] = splat[3]; rest[j] = splat[4]; level[j] = splat[5]; cut[j] = splat[6];
             feature[j] = splat + RECORD;
         }
-        // Rows where quadratic <= cut between the tile's outer columns. Over dx the ellipse's upper edge is
-        // dy = (-xy dx + sqrt(4 cut yy - D dx^2)) / (2 yy): concave, so highest at its top or at the column nearest to the top.
+        // Rows where the ellipse (p dx + s dy)^2 + v dy^2 <= q lies between the tile's outer columns. Its upper edge over dx,
+        // dy = (-p s dx + sqrt(q c - p^2 v dx^2)) / c with c = s^2 + v, is concave: highest at its top, or the column nearest to that.
         alignas(64) int first[BATCH], last[BATCH];
         for (int j = 0; j < size; j += 16) {
-            const Row x = load(mean_x + j), y = load(mean_y + j), a = load(xx + j), b = load(xy + j), c = load(yy + j), q = load(cut + j);
-            const Row product = 4.0f * a * c;
-            const Row D = __builtin_elementwise_max(product * (1.0f - 0x1p-21f) - b * b, product * 1e-12f);
-            const Row top = b * __builtin_elementwise_sqrt(q / (a * D));   // 2 a |dy| / ... of the topmost point: dx = -+ b dy / (2 a)
+            const Row x = load(mean_x + j), y = load(mean_y + j), q = load(cut + j);
+            const Row p = load(root + j), s = load(shear + j), v = load(rest + j);
+            const Row c = s * s + v, D = p * p * v;
+            const Row top = s * square_root(q / v) / p;   // dx at the lowest point, and minus dx at the topmost
             const Row low = -x, high = 15.0f - x;
-            const Row up = __builtin_elementwise_min(__builtin_elementwise_max(-top, low), high);
-            const Row down = __builtin_elementwise_min(__builtin_elementwise_max(top, low), high);
-            const Row up_root = __builtin_elementwise_sqrt(__builtin_elementwise_max(4.0f * q * c - D * up * up, zero));
-            const Row down_root = __builtin_elementwise_sqrt(__builtin_elementwise_max(4.0f * q * c - D * down * down, zero));
-            const Row lower = __builtin_elementwise_ceil(y - (b * down + down_root) / (2.0f * c));
-            const Row upper = __builtin_elementwise_floor(y + (up_root - b * up) / (2.0f * c));
+            const Row up = least(greatest(-top, low), high);
+            const Row down = least(greatest(top, low), high);
+            const Row up_root = square_root(greatest(q * c - D * up * up, zero));
+            const Row down_root = square_root(greatest(q * c - D * down * down, zero));
+            const Row lower = __builtin_elementwise_ceil(y - (p * s * down + down_root) / c);
+            const Row upper = __builtin_elementwise_floor(y + (up_root - p * s * up) / c);
             // a NaN loses to the bound: then every row is taken
-            *(Bits*)(first + j) = __builtin_convertvector(__builtin_elementwise_min(__builtin_elementwise_max(lower, zero), zero + 16.0f), Bits);
-            *(Bits*)(last + j) = __builtin_convertvector(__builtin_elementwise_max(__builtin_elementwise_min(upper, zero + 15.0f), zero - 1.0f), Bits);
+            *(Bits*)(first + j) = whole_number(least(greatest(lower, zero), 16.0f));
+            *(Bits*)(last + j) = whole_number(greatest(least(upper, 15.0f), -1.0f));
         }
         for (int r = 0; r < 16; ++r) count[r] = 0;
         for (int j = 0; j < size; ++j)
@@ -88,20 +95,25 @@ _TILE = r"""
     auto density = [&](int j, int r) {
         const float dy = r - mean_y[j];
         const Row dx = ramp - mean_x[j];
-        const Row t = __builtin_elementwise_max((level[j] - yy[j] * dy * dy) - dx * (xx[j] * dx + xy[j] * dy), zero - 126.0f);
+        const Row along = root[j] * dx + shear[j] * dy;
+        const Row t = greatest((level[j] - rest[j] * dy * dy) - along * along, -126.0f);
         const Row whole = __builtin_elementwise_roundeven(t);
         const Row u = t - whole;
         const Row power = 1.0f + u * (0.693147f + u * (0.24022242f + u * (0.055507336f + u * (0.009671513f + u * 0.0013264727f))));
-        return __builtin_bit_cast(Row, __builtin_bit_cast(Bits, power) + (__builtin_convertvector(whole, Bits) << 23));
+        return __builtin_bit_cast(Row, __builtin_bit_cast(Bits, power) + (whole_number(whole) << 23));
     };
     auto alpha_of = [&](Row density) {
-        const Row alpha = __builtin_elementwise_min(density, zero + ALPHA_MAX);
+        const Row alpha = least(density, ALPHA_MAX);
         return alpha < ALPHA_MIN ? zero : alpha;
     };
 
-    // front-to-back state of the tile's pixels
+    // front-to-back state of the tile's pixels; those outside the image have stopped from the start
     Row live[16], final[16];
-    for (int r = 0; r < 16; ++r) { live[r] = 1.0f; final[r] = 0.0f; }
+    for (int r = 0; r < 16; ++r) {
+        const float visible = tile_top + r < height ? (float)(width - tile_left) : 0.0f;
+        live[r] = ramp < visible ? zero + 1.0f : zero;
+        final[r] = 0.0f;
+    }
     auto absorb = [&](Row alpha, Row& live, Row& final) {
         const Row weight = alpha * live, next = live - weight;
         const Bits stop = next < TRANSMITTANCE_MIN;
@@ -121,7 +133,7 @@ _FORWARD = r"""
         take_batch(begin, end - begin < BATCH ? end - begin : BATCH);
         unfinished = false;
         for (int r = 0; r < 16; ++r) {
-            if (largest(live[r]) == 0.0f) continue;
+            if (!any(live[r])) continue;
             unfinished = true;
             const int n = count[r];
             const int* list = listed[r];
@@ -152,7 +164,7 @@ _FORWARD = r"""
 
 _BACKWARD = r"""
     typedef float Octet __attribute__((ext_vector_type(8)));   // eight channels of one pixel
-    const int channels = features.shape[2], octets = (channels + 7) / 8, columns_out = slot_gradients.shape[1];
+    const int channels = features.shape[2], octets = (channels + 7) / 8;
 
     // the output's gradient twice: per channel as rows of pixels, and per pixel as octets of channels
     Row* by_channel = (Row*)__builtin_alloca_with_align(16 * padded * sizeof(Row), 512);
@@ -185,19 +197,18 @@ _BACKWARD = r"""
     // gradient of sigma, times 1, dy and dy^2, summed over the rows of each Gaussian of the batch
     Row moment0[BATCH], moment1[BATCH], moment2[BATCH];
 
+    auto slot_of = [&](int entry) { return (Octet*)slot_gradients.data + (size_t)slots.data[entry] * (1 + octets); };
     auto write_slot = [&](int j, int entry) {
-        float* slot = slot_gradients.data + (size_t)slots.data[entry] * columns_out;
-        const float* splat = feature[j] - RECORD;
-        const Row dx = ramp - mean_x[j];
-        const float A = 2.0f * LN2 * xx[j], B = LN2 * xy[j], C = 2.0f * LN2 * yy[j];
-        const float sum_x = total(moment0[j] * dx), sum_y = total(moment1[j]);
-        slot[0] = -(A * sum_x + B * sum_y);
-        slot[1] = -(B * sum_x + C * sum_y);
-        slot[2] = 0.5f * total(moment0[j] * dx * dx);
-        slot[3] = total(moment1[j] * dx);
-        slot[4] = 0.5f * total(moment2[j]);
-        slot[5] = -total(moment0[j]) * splat[7];
-        for (int c = 0; c < channels; ++c) slot[6 + c] = ((float*)(grad_feature + j * octets))[c];
+        Octet* slot = slot_of(entry);
+        const float p = root[j], s = shear[j], A = 2.0f * LN2 * p * p, B = 2.0f * LN2 * p * s, C = 2.0f * LN2 * (s * s + rest[j]);
+        const Row dx = ramp - mean_x[j], first = moment0[j] * dx;
+        const float sum_x = total(first), sum_y = total(moment1[j]), inverse_opacity = feature[j][7 - RECORD];
+        slot[0] = Octet{
+            -(A * sum_x + B * sum_y), -(B * sum_x + C * sum_y),
+            0.5f * total(first * dx), total(moment1[j] * dx), 0.5f * total(moment2[j]),
+            -total(moment0[j]) * inverse_opacity, 0.0f, 0.0f,
+        };
+        for (int o = 0; o < octets; ++o) slot[1 + o] = grad_feature[j * octets + o];
     };
 
     bool unfinished = true;
@@ -205,7 +216,7 @@ _BACKWARD = r"""
         const int size = end - begin < BATCH ? end - begin : BATCH;
         if (!unfinished) {   // nothing shows behind here
             for (int j = 0; j < size; ++j)
-                for (int c = 0; c < columns_out; ++c) slot_gradients.data[(size_t)slots.data[begin + j] * columns_out + c] = 0.0f;
+                for (int o = 0; o <= octets; ++o) slot_of(begin + j)[o] = 0.0f;
             continue;
         }
         take_batch(begin, size);
@@ -215,7 +226,7 @@ _BACKWARD = r"""
         }
         unfinished = false;
         for (int r = 0; r < 16; ++r) {
-            if (largest(live[r]) == 0.0f) continue;
+            if (!any(live[r])) continue;
             unfinished = true;
             const int n = count[r];
             const int* list = listed[r];
@@ -234,7 +245,7 @@ _BACKWARD = r"""
                 row_behind -= weight[i] * dot;
                 // dL/dsigma = -alpha dL/dalpha, dL/dalpha = T dot - behind / (1 - alpha); none through the cap, the cut or the stop
                 const Row gradient = row_behind * (alpha / (1.0f - alpha)) - weight[i] * dot;
-                const Row grad_sigma = (weight[i] > 0.0f) & (value <= ALPHA_MAX) ? gradient : zero;
+                const Row grad_sigma = ((weight[i] > 0.0f) & (value <= ALPHA_MAX)) ? gradient : zero;
                 const float dy = r - mean_y[j];
                 moment0[j] += grad_sigma;
                 moment1[j] += grad_sigma * dy;
@@ -276,9 +287,9 @@ def forward(splats: Tensor, bins: TileBins, channels: int, width: int, height: i
 def adjoint(
     splats: Tensor, bins: TileBins, features: Tensor, transmittance: Tensor, grad_features: Tensor, grad_transmittance: Tensor
 ) -> Tensor:
-    """(I, 6 + C) gradients by slot: mean x, y; conic xx, xy, yy; opacity; features. Takes what `forward` took and gave."""
+    """Gradients by slot, (I, 1 + C / 8, 8) as of `splats.Octet`, from what `forward` took and gave."""
     height, width, channels = features.shape
-    slot_gradients = splats.new_empty(bins.slots.shape[0], 6 + channels)
+    slot_gradients = splats.new_empty(bins.slots.shape[0], 1 + -(-channels // 8), 8)
     lists = (bins.tile_offsets, bins.gaussians, bins.slots)
     images = (features, transmittance, grad_features, grad_transmittance)
     tiles = bins.columns * bins.rows
@@ -297,7 +308,7 @@ def _blend_rows(
     splats: wp.array2d[wp.float32],
     features: wp.array3d[wp.float32],
     transmittance: wp.array2d[wp.float32],
-): ...
+) -> None: ...
 
 
 @wp.func_native(_CONSTANTS + _TILE + _BACKWARD)
@@ -314,8 +325,8 @@ def _blend_rows_adjoint(
     transmittance: wp.array2d[wp.float32],
     grad_features: wp.array3d[wp.float32],
     grad_transmittance: wp.array2d[wp.float32],
-    slot_gradients: wp.array2d[wp.float32],
-): ...
+    slot_gradients: wp.array2d[Octet],
+) -> None: ...
 
 
 @wp.kernel(enable_backward=False)
@@ -329,7 +340,7 @@ def _blend_tile(
     splats: wp.array2d[wp.float32],
     features: wp.array3d[wp.float32],
     transmittance: wp.array2d[wp.float32],
-):
+) -> None:
     """Blend the pixels of one tile: features (H, W, C) and transmittance (H, W)."""
     _blend_rows(first + wp.tid(), columns, width, height, tile_offsets, gaussians, splats, features, transmittance)
 
@@ -348,9 +359,9 @@ def _blend_tile_adjoint(
     transmittance: wp.array2d[wp.float32],
     grad_features: wp.array3d[wp.float32],
     grad_transmittance: wp.array2d[wp.float32],
-    slot_gradients: wp.array2d[wp.float32],
-):
-    """Write the gradients of one tile's intersections, (I, 6 + C): mean x, y; conic xx, xy, yy; opacity; features."""
+    slot_gradients: wp.array2d[Octet],
+) -> None:
+    """Write the gradients of one tile's intersections, each to its slot."""
     _blend_rows_adjoint(
         first + wp.tid(), columns, width, height, tile_offsets, gaussians, slots, splats,
         features, transmittance, grad_features, grad_transmittance, slot_gradients,

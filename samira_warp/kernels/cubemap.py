@@ -90,49 +90,58 @@ def mip_table(sizes: tuple[int, ...], device: torch.device) -> torch.Tensor:
     return torch.tensor(rows, dtype=torch.int32, device=device)
 
 
+@wp.struct
+class FacePoint:
+    """A point on a cube's face: ``s`` along its columns and ``t`` along its rows, -1 to 1."""
+
+    face: wp.int32
+    s: wp.float32
+    t: wp.float32
+
+
 @wp.func
-def project(direction: wp.vec3):
-    """The face that a direction meets, and its coordinates s, t there in [-1, 1]; on a tie x comes before y before z."""
+def project(direction: wp.vec3) -> FacePoint:
+    """The face that a direction meets, and where; on a tie x comes before y before z."""
     size = wp.vec3(wp.abs(direction[0]), wp.abs(direction[1]), wp.abs(direction[2]))
-    face = wp.int32(0)
-    s = wp.float32(0.0)
-    t = wp.float32(0.0)
+    axis = wp.int32(2)
     if size[0] >= size[1] and size[0] >= size[2]:
-        sign = wp.where(direction[0] < 0.0, -1.0, 1.0)
-        face = wp.where(direction[0] < 0.0, 1, 0)
-        s = -sign * direction[2] / size[0]
-        t = -direction[1] / size[0]
+        axis = wp.int32(0)
     elif size[1] >= size[2]:
-        sign = wp.where(direction[1] < 0.0, -1.0, 1.0)
-        face = wp.where(direction[1] < 0.0, 3, 2)
-        s = direction[0] / size[1]
-        t = sign * direction[2] / size[1]
-    else:
-        sign = wp.where(direction[2] < 0.0, -1.0, 1.0)
-        face = wp.where(direction[2] < 0.0, 5, 4)
-        s = sign * direction[0] / size[2]
-        t = -direction[1] / size[2]
-    return face, s, t
-
-
-@wp.func
-def project_adjoint(direction: wp.vec3, face: wp.int32, s: wp.float32, t: wp.float32, grad_s: wp.float32, grad_t: wp.float32):
-    """Gradient with respect to the direction of `project`, from those with respect to s and t."""
-    axis = face // 2
-    sign = wp.where(face % 2 == 1, -1.0, 1.0)
-    scale = 1.0 / wp.abs(direction[axis])
-    grad_major = -sign * scale * (s * grad_s + t * grad_t)
-    grad_s = scale * grad_s
-    grad_t = scale * grad_t
+        axis = wp.int32(1)
+    sign = wp.where(direction[axis] < 0.0, -1.0, 1.0)
+    scale = 1.0 / size[axis]
+    point = FacePoint()
+    point.face = 2 * axis + wp.where(direction[axis] < 0.0, 1, 0)
     if axis == 0:
-        return wp.vec3(grad_major, -grad_t, -sign * grad_s)
-    if axis == 1:
-        return wp.vec3(grad_s, grad_major, sign * grad_t)
-    return wp.vec3(sign * grad_s, -grad_t, grad_major)
+        point.s = -sign * direction[2] * scale
+        point.t = -direction[1] * scale
+    elif axis == 1:
+        point.s = direction[0] * scale
+        point.t = sign * direction[2] * scale
+    else:
+        point.s = sign * direction[0] * scale
+        point.t = -direction[1] * scale
+    return point
 
 
 @wp.func
-def face_point(face: wp.int32, s: wp.int32, t: wp.int32, major: wp.int32):
+def project_adjoint(direction: wp.vec3, point: FacePoint, grad_s: wp.float32, grad_t: wp.float32) -> wp.vec3:
+    """Gradient with respect to the direction of `project`, from those with respect to s and t."""
+    axis = point.face // 2
+    sign = wp.where(point.face % 2 == 1, -1.0, 1.0)
+    scale = 1.0 / wp.abs(direction[axis])
+    along_s = scale * grad_s
+    along_t = scale * grad_t
+    major = -sign * (point.s * along_s + point.t * along_t)
+    if axis == 0:
+        return wp.vec3(major, -along_t, -sign * along_s)
+    if axis == 1:
+        return wp.vec3(along_s, major, sign * along_t)
+    return wp.vec3(sign * along_s, -along_t, major)
+
+
+@wp.func
+def face_point(face: wp.int32, s: wp.int32, t: wp.int32, major: wp.int32) -> wp.vec3i:
     """The cube point of face coordinates, in any integer unit."""
     sign = wp.where(face % 2 == 1, -1, 1)
     axis = face // 2
@@ -144,7 +153,7 @@ def face_point(face: wp.int32, s: wp.int32, t: wp.int32, major: wp.int32):
 
 
 @wp.func
-def point_s(face: wp.int32, point: wp.vec3i):
+def point_s(face: wp.int32, point: wp.vec3i) -> wp.int32:
     """The column coordinate of a cube point on a face: inverse of `face_point`."""
     sign = wp.where(face % 2 == 1, -1, 1)
     axis = face // 2
@@ -156,7 +165,7 @@ def point_s(face: wp.int32, point: wp.vec3i):
 
 
 @wp.func
-def point_t(face: wp.int32, point: wp.vec3i):
+def point_t(face: wp.int32, point: wp.vec3i) -> wp.int32:
     """The row coordinate of a cube point on a face: inverse of `face_point`."""
     sign = wp.where(face % 2 == 1, -1, 1)
     if face // 2 == 1:
@@ -165,7 +174,7 @@ def point_t(face: wp.int32, point: wp.vec3i):
 
 
 @wp.func
-def neighbour_face(face: wp.int32, ds: wp.int32, dt: wp.int32):
+def neighbour_face(face: wp.int32, ds: wp.int32, dt: wp.int32) -> wp.int32:
     """The face over the edge in direction (ds, dt), one of which is +-1 and the other 0."""
     step = face_point(face, ds, dt, 0)
     if step[0] != 0:
@@ -176,7 +185,7 @@ def neighbour_face(face: wp.int32, ds: wp.int32, dt: wp.int32):
 
 
 @wp.func
-def texel_at(face: wp.int32, column: wp.int32, row: wp.int32, size: wp.int32):
+def texel_at(face: wp.int32, column: wp.int32, row: wp.int32, size: wp.int32) -> wp.int32:
     """Index of a texel whose column or row may be one step over an edge; -1 if both are, where three faces meet and no texel is.
 
     Over an edge lies the neighbour's border texel with the same place along the edge: the point (S + 1, t, S), in units of half a
@@ -210,13 +219,13 @@ class Footprint:
 
 
 @wp.func
-def footprint(face: wp.int32, s: wp.float32, t: wp.float32, size: wp.int32):
-    """The cell of a face coordinate in a map of size S."""
+def footprint(point: FacePoint, size: wp.int32) -> Footprint:
+    """The cell of a point in a map of size S."""
     half = 0.5 * wp.float32(size)
-    column = (s + 1.0) * half - 0.5
-    row = (t + 1.0) * half - 0.5
+    column = (point.s + 1.0) * half - 0.5
+    row = (point.t + 1.0) * half - 0.5
     result = Footprint()
-    result.face = face
+    result.face = point.face
     result.column = wp.clamp(wp.int32(wp.floor(column)), -1, size - 1)
     result.row = wp.clamp(wp.int32(wp.floor(row)), -1, size - 1)
     result.x = column - wp.float32(result.column)
@@ -225,7 +234,7 @@ def footprint(face: wp.int32, s: wp.float32, t: wp.float32, size: wp.int32):
 
 
 @wp.func
-def cell_texels(cell: Footprint, size: wp.int32):
+def cell_texels(cell: Footprint, size: wp.int32) -> wp.vec4i:
     """The cell's texels: (column, row), (column + 1, row), (column, row + 1), (column + 1, row + 1); -1 for a cube's corner."""
     return wp.vec4i(
         texel_at(cell.face, cell.column, cell.row, size),
@@ -236,19 +245,19 @@ def cell_texels(cell: Footprint, size: wp.int32):
 
 
 @wp.func
-def cell_index(cell: Footprint, size: wp.int32):
+def cell_index(cell: Footprint, size: wp.int32) -> wp.int32:
     """Index of a cell among the 6 (S + 1)^2 of a map, a row of which starts half a texel before the face and ends half a texel after."""
     return (cell.face * (size + 1) + cell.row + 1) * (size + 1) + cell.column + 1
 
 
 @wp.func
-def bilinear_weights(cell: Footprint):
+def bilinear_weights(cell: Footprint) -> wp.vec4:
     """Weights of the cell's four texels."""
     return wp.vec4((1.0 - cell.x) * (1.0 - cell.y), cell.x * (1.0 - cell.y), (1.0 - cell.x) * cell.y, cell.x * cell.y)
 
 
 @wp.func
-def spread_corner(weights: wp.vec4, texels: wp.vec4i):
+def spread_corner(weights: wp.vec4, texels: wp.vec4i) -> wp.vec4:
     """Where three faces meet, the missing texel is the mean of the three others: a third of its weight goes to each of them."""
     missing = wp.float32(0.0)
     for k in range(4):

@@ -34,10 +34,10 @@ from samira_warp.validation import check_tensor
 _CACHED_WEIGHTS = 1 << 24
 """A filter of at most this many stored weights (64 MB) keeps them; a larger one makes them anew, block by block."""
 
-_BLOCK_WEIGHTS = 1 << 19
-"""Weights made at a time by a larger filter: 2 MB, which stay in the cache between making and use."""
+_BLOCK_WEIGHTS = 1 << 21
+"""Weights made at a time by a larger filter: 8 MB, which stay in a shared cache between making and use."""
 
-_BLOCK_WIDTH = 2048
+_BLOCK_WIDTH = 4096
 """Texels of such a block."""
 
 
@@ -83,18 +83,20 @@ class _Filter(torch.autograd.Function):
     def forward(ctx: Any, base: torch.Tensor, size: int, alpha: float, normalised: bool) -> torch.Tensor:
         device, channels = base.device, base.shape[-1]
         columns = len(PERMUTATIONS) * channels
-        parts = _to_parities(base).view(-1, channels)[spread_table(base.shape[1], device)].view(OCTANTS, -1, columns)
+        parts = _to_parities(base).view(-1, channels)[spread_table(base.shape[1], device)]
+        # Texels last: skinny matrix products are half as fast again this way round.
+        parts = parts.view(OCTANTS, -1, columns).transpose(1, 2).contiguous()
         representatives = len(symmetry(size, device).representatives)
-        products = base.new_zeros(OCTANTS, representatives, columns)
+        products = base.new_zeros(OCTANTS, columns, representatives)
         sums = base.new_zeros(representatives)
         for rows, texels, weights in _weights(base.shape[1], size, alpha, device):
-            products[:, rows] += weights @ parts[:, texels]
+            products[..., rows] += parts[..., texels] @ weights.transpose(1, 2)
             # The even parity of a row is the sum over the octants.
             sums[rows] += weights[0].sum(dim=1)
         scale = 1.0 / sums if normalised else torch.full_like(sums, 1.0 / torch.pi)
         ctx.save_for_backward(scale)
         ctx.base_size, ctx.size, ctx.alpha = base.shape[1], size, alpha
-        products = (products * scale[:, None]).view(-1, channels)
+        products = (products * scale).transpose(1, 2).reshape(-1, channels)
         return _from_parities(products[result_table(size, device)], size) / OCTANTS
 
     @staticmethod
@@ -105,11 +107,11 @@ class _Filter(torch.autograd.Function):
         products = grad.new_zeros(OCTANTS * len(scale) * len(PERMUTATIONS), channels)
         # No row of the products is read twice, so this copies and never adds.
         products[result_table(ctx.size, device)] = _to_parities(grad) / OCTANTS
-        products = products.view(OCTANTS, -1, columns) * scale[:, None]
-        parts = grad.new_zeros(OCTANTS, FACES * ctx.base_size**2 // OCTANTS, columns)
+        products = (products.view(OCTANTS, -1, columns) * scale[:, None]).transpose(1, 2).contiguous()
+        parts = grad.new_zeros(OCTANTS, columns, FACES * ctx.base_size**2 // OCTANTS)
         for rows, texels, weights in _weights(ctx.base_size, ctx.size, ctx.alpha, device):
-            parts[:, texels] += weights.transpose(1, 2) @ products[:, rows]
-        parts = parts.view(-1, channels)[collect_table(ctx.base_size, device)].sum(dim=1)
+            parts[..., texels] += products[..., rows] @ weights
+        parts = parts.transpose(1, 2).reshape(-1, channels)[collect_table(ctx.base_size, device)].sum(dim=1)
         return _from_parities(parts.view(OCTANTS, -1, channels), ctx.base_size), None, None, None
 
 
@@ -225,7 +227,7 @@ def _lobe_run(
     run: wp.int32,
     place: wp.int32,
     weights: wp.array3d[wp.float32],
-): ...
+) -> None: ...
 
 
 @wp.kernel(enable_backward=False)
@@ -238,7 +240,7 @@ def _lobe_parities(
     first_texel: wp.int32,
     run: wp.int32,
     weights: wp.array3d[wp.float32],
-):
+) -> None:
     """The eight parities of the weights of one normal for a run of texels."""
     place = (first + wp.tid()) * run
     row = place // weights.shape[2]

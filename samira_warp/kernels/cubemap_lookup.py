@@ -150,7 +150,7 @@ def _check_cubemap(name: str, cubemap: torch.Tensor, *, channels: int | str = "C
 
 
 @wp.func
-def lower_level(level: wp.float32, levels: wp.int32):
+def lower_level(level: wp.float32, levels: wp.int32) -> tuple[wp.int32, wp.float32]:
     """The first of the two levels to blend, and the weight of the second."""
     clamped = wp.clamp(level, 0.0, wp.float32(levels - 1))
     first = wp.clamp(wp.int32(wp.floor(clamped)), 0, wp.max(levels - 2, 0))
@@ -158,13 +158,13 @@ def lower_level(level: wp.float32, levels: wp.int32):
 
 
 @wp.func
-def level_moves(level: wp.float32, levels: wp.int32):
+def level_moves(level: wp.float32, levels: wp.int32) -> wp.bool:
     """Whether the result changes with the level: inside the range, its ends included."""
     return levels > 1 and level >= 0.0 and level <= wp.float32(levels - 1)
 
 
 @wp.func
-def _blend(texels: wp.array2d[wp.float32], first: wp.int32, taps: wp.vec4i, weights: wp.vec4, channel: wp.int32):
+def _blend(texels: wp.array2d[wp.float32], first: wp.int32, taps: wp.vec4i, weights: wp.vec4, channel: wp.int32) -> wp.float32:
     result = wp.float32(0.0)
     for k in range(4):
         if taps[k] >= 0:
@@ -180,7 +180,7 @@ def _sample(
     levels: wp.array[wp.float32],
     table: wp.array2d[wp.int32],
     result: wp.array2d[wp.float32],
-):
+) -> None:
     m = first + wp.tid()
     direction = directions[m]
     channels = texels.shape[1]
@@ -188,13 +188,13 @@ def _sample(
         result[m, c] = 0.0
     if wp.length_sq(direction) == 0.0:
         return
-    face, s, t = project(direction)
+    point = project(direction)
     lower, fraction = lower_level(levels[m], table.shape[0])
     for slot in range(2):
         share = wp.where(slot == 0, 1.0 - fraction, fraction)
         if share > 0.0:
             level = lower + slot
-            cell = footprint(face, s, t, table[level, 0])
+            cell = footprint(point, table[level, 0])
             taps = cell_texels(cell, table[level, 0])
             weights = share * spread_corner(bilinear_weights(cell), taps)
             for c in range(channels):
@@ -213,21 +213,21 @@ def _sample_adjoint(
     grad_levels: wp.array[wp.float32],
     cells: wp.array2d[wp.int32],
     places: wp.array2d[wp.vec3],
-):
+) -> None:
     m = first + wp.tid()
     direction = directions[m]
     count = table.shape[0]
     grad_s = wp.float32(0.0)
     grad_t = wp.float32(0.0)
     grad_level = wp.float32(0.0)
-    face, s, t = project(direction)
+    point = project(direction)
     lower, fraction = lower_level(levels[m], count)
     seen = wp.length_sq(direction) > 0.0
     for slot in range(wp.min(count, 2)):
         level = lower + slot
         size = table[level, 0]
         share = wp.where(slot == 0, 1.0 - fraction, fraction)
-        cell = footprint(face, s, t, size)
+        cell = footprint(point, size)
         cells[m, slot] = table[level, 2] + cell_index(cell, size)
         places[m, slot] = wp.vec3(cell.x, cell.y, share)
         if not seen or share == 0.0:
@@ -243,14 +243,14 @@ def _sample_adjoint(
             grad_t += scale * grads[m, c] * _blend(texels, table[level, 1], taps, along_y, c)
             grad_level += sign * grads[m, c] * _blend(texels, table[level, 1], taps, weights, c)
     if seen:
-        grad_directions[m] = project_adjoint(direction, face, s, t, grad_s, grad_t)
+        grad_directions[m] = project_adjoint(direction, point, grad_s, grad_t)
     else:
         grad_directions[m] = wp.vec3()
     grad_levels[m] = wp.where(seen and level_moves(levels[m], count), grad_level, 0.0)
 
 
 @wp.kernel(enable_backward=False)
-def _find_starts(first: wp.int32, keys: wp.array[wp.int32], lookups: wp.int32, count: wp.int32, starts: wp.array[wp.int32]):
+def _find_starts(first: wp.int32, keys: wp.array[wp.int32], lookups: wp.int32, count: wp.int32, starts: wp.array[wp.int32]) -> None:
     """Cell g's lookups are those from starts[g] to starts[g + 1] in sorted order."""
     i = first + wp.tid()
     before = wp.int32(-1)
@@ -273,7 +273,7 @@ def _sum_cells(
     table: wp.array2d[wp.int32],
     slots: wp.int32,
     sums: wp.array2d[wp.vec4],
-):
+) -> None:
     """What a cell's lookups owe to each of its four texels, the missing one's share handed to the others."""
     index = first + wp.tid()
     g = index // grads.shape[1]
@@ -301,7 +301,9 @@ def _sum_cells(
 
 
 @wp.func
-def _collect(sums: wp.array2d[wp.vec4], first: wp.int32, face: wp.int32, column: wp.int32, row: wp.int32, size: wp.int32, c: wp.int32):
+def _collect(
+    sums: wp.array2d[wp.vec4], first: wp.int32, face: wp.int32, column: wp.int32, row: wp.int32, size: wp.int32, c: wp.int32
+) -> wp.float32:
     """Sum of a texel's shares over the cells of one face; the texel may lie one step over the face's edge."""
     total = wp.float32(0.0)
     for k in range(4):
@@ -313,7 +315,7 @@ def _collect(sums: wp.array2d[wp.vec4], first: wp.int32, face: wp.int32, column:
 
 
 @wp.kernel(enable_backward=False)
-def _gather_texels(first: wp.int32, sums: wp.array2d[wp.vec4], table: wp.array2d[wp.int32], result: wp.array2d[wp.float32]):
+def _gather_texels(first: wp.int32, sums: wp.array2d[wp.vec4], table: wp.array2d[wp.int32], result: wp.array2d[wp.float32]) -> None:
     """A texel collects from its own face's cells, and from the cells of neighbours for which it lies just over the edge."""
     index = first + wp.tid()
     texel = index // result.shape[1]

@@ -64,9 +64,7 @@ def parities(device: torch.device) -> torch.Tensor:
 @functools.cache
 def turned_parities(device: torch.device) -> torch.Tensor:
     """(8, 6) int64: the parity that each permutation makes of each parity; it moves the bits as it moves the coordinates."""
-    return torch.tensor(
-        [[sum((p >> turn[k] & 1) << k for k in range(3)) for turn in PERMUTATIONS] for p in range(OCTANTS)], device=device
-    )
+    return torch.tensor([[sum((p >> turn[k] & 1) << k for k in range(3)) for turn in PERMUTATIONS] for p in range(OCTANTS)], device=device)
 
 
 @functools.cache

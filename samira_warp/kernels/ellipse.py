@@ -16,7 +16,7 @@ ROUNDING = wp.constant(1.0 - 2.0**-21)
 def visible_sigma(opacity: wp.float32) -> wp.float32:
     """The sigma at which opacity * exp(-sigma) falls to ALPHA_MIN, and a margin for rounding; -1 where alpha never gets there."""
     if not (opacity >= wp.static(ALPHA_MIN) and wp.isfinite(opacity)):
-        return float(-1.0)
+        return -1.0
     return wp.log(opacity * wp.static(1.0 / ALPHA_MIN)) * 1.0001 + 0.001
 
 
@@ -30,7 +30,7 @@ def half_extent(conic: wp.vec3, sigma: wp.float32) -> wp.vec2:
 
 @wp.func
 def quadratic(conic: wp.vec3, x: wp.float32, y: wp.float32) -> wp.float32:
-    """sigma = (1/2) d' K d at the offset d = (x, y) from the mean."""
+    """Sigma = (1/2) d' K d at the offset d = (x, y) from the mean."""
     return 0.5 * (conic[0] * x * x + conic[2] * y * y) + conic[1] * x * y
 
 
@@ -44,7 +44,7 @@ def touches(mean: wp.vec2, conic: wp.vec3, sigma: wp.float32, low: wp.vec2, high
     nearest = wp.vec2(wp.clamp(mean[0], low[0], high[0]), wp.clamp(mean[1], low[1], high[1])) - mean
     if nearest[0] == 0.0 and nearest[1] == 0.0:
         return True
-    least = float(wp.inf)
+    least = wp.float32(wp.inf)
     if nearest[0] != 0.0:
         y = wp.clamp(-conic[1] * nearest[0] / conic[2], low[1] - mean[1], high[1] - mean[1])
         least = quadratic(conic, nearest[0], y)

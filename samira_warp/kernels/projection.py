@@ -18,7 +18,7 @@ from torch import Tensor
 
 from samira_warp.camera import Camera
 from samira_warp.constants import LOW_PASS, NEAR_PLANE
-from samira_warp.kernels.ellipse import half_extent, pair, touches, visible_sigma
+from samira_warp.kernels.ellipse import pair, touches, visible_sigma
 from samira_warp.kernels.runtime import launch_range
 from samira_warp.validation import check_tensor
 
@@ -150,7 +150,7 @@ def _jacobian(depth: wp.float32, slopes: wp.vec2, focal: wp.vec2) -> mat23:
 
 @wp.func
 def _determinant(m0: wp.vec3, m1: wp.vec3) -> wp.float32:
-    """det (M M' + LOW_PASS I) for the rows of M, free of cancellation."""
+    """Det (M M' + LOW_PASS I) for the rows of M, free of cancellation."""
     return wp.length_sq(wp.cross(m0, m1)) + wp.static(LOW_PASS) * (wp.length_sq(m0) + wp.length_sq(m1)) + wp.static(LOW_PASS**2)
 
 
@@ -178,7 +178,7 @@ def _project(
     depths: wp.array[wp.float32],
     conics: wp.array[wp.vec3],
     visible: wp.array[wp.bool],
-):
+) -> None:
     i = first + wp.tid()
     W = _view(pose)
     point = W * means[i] + wp.vec3(pose[0, 3], pose[1, 3], pose[2, 3])
@@ -219,7 +219,7 @@ def _project_adjoint(
     grad_means: wp.array[wp.vec3],
     grad_quaternions: wp.array[wp.vec4],
     grad_scales: wp.array[wp.vec3],
-):
+) -> None:
     i = first + wp.tid()
     if not visible[i]:
         return
@@ -269,7 +269,7 @@ def _jacobian_adjoint(point: wp.vec3, slopes: wp.vec2, focal: wp.vec2, low: wp.v
     grad_u, grad_v = -x * g[0, 2], -y * g[1, 2]
     u, v = point[0] / z, point[1] / z
     if u < low[0] or u > high[0]:
-        grad_u = float(0.0)
+        grad_u = wp.float32(0.0)
     if v < low[1] or v > high[1]:
-        grad_v = float(0.0)
+        grad_v = wp.float32(0.0)
     return wp.vec3(grad_u / z, grad_v / z, grad_z - (grad_u * u + grad_v * v) / z)

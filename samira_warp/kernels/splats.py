@@ -2,9 +2,11 @@
 
 Exponents are in base 2, so that the density of a Gaussian at the offset (dx, dy) of a pixel centre from its mean is
 
-    opacity * exp(-sigma) = 2^(level - (xx dx^2 + xy dx dy + yy dy^2))
+    opacity * exp(-sigma) = 2^(level - (root dx + shear dy)^2 - rest dy^2)
 
-with level = log2(opacity), and the ellipse in which that reaches ALPHA_MIN is where the quadratic form is at most the record's cut.
+with level = log2(opacity), and the ellipse in which that reaches ALPHA_MIN is where the two squares sum to at most the record's cut.
+The squares (a Cholesky factor of the conic) keep float32 accurate far along a thin ellipse, where the three terms of the expanded
+form are thousands and cancel to a few units.
 """
 
 from __future__ import annotations
@@ -18,12 +20,16 @@ from samira_warp.constants import ALPHA_MIN
 from samira_warp.kernels.runtime import launch_range
 
 RECORD = 8
-"""Floats of a record before its features: mean x, y; quadratic form xx, xy, yy; level; cut; 1 / opacity."""
+"""Floats of a record before its features: mean x, y; root, shear, rest; level; cut; 1 / opacity."""
+
+Octet = wp.types.vector(length=8, dtype=wp.float32)
+"""Gradients of a record and its features come in eights: mean x, y; conic xx, xy, yy; opacity; two spare; then the channels."""
 
 GRAIN = 2048
 """Gaussians that are worth a thread."""
 
-LOG2_E = wp.constant(1.0 / math.log(2.0))
+HALF_LOG2_E = wp.constant(wp.float64(0.5 / math.log(2.0)))
+"""Turns the conic's sigma = (1/2) d' K d into a power of two."""
 
 
 def pack_splats(means2d: Tensor, conics: Tensor, opacities: Tensor, features: Tensor, *, multiple: int) -> Tensor:
@@ -42,16 +48,19 @@ def _pack(
     opacities: wp.array[wp.float32],
     features: wp.array2d[wp.float32],
     splats: wp.array2d[wp.float32],
-):
+) -> None:
     """Write the record of each Gaussian: RECORD floats, then its features padded with zeros to the row's end."""
     i = first + wp.tid()
     # Gaussians that no tile lists may hold anything; level and cut then stay unread
     level = wp.log2(opacities[i])
+    # rest is a difference of products: in float64 it loses nothing
+    root = wp.sqrt(HALF_LOG2_E * wp.float64(conics[i][0]))
+    shear = HALF_LOG2_E * wp.float64(conics[i][1]) / root
     splats[i, 0] = means2d[i][0]
     splats[i, 1] = means2d[i][1]
-    splats[i, 2] = 0.5 * LOG2_E * conics[i][0]
-    splats[i, 3] = LOG2_E * conics[i][1]
-    splats[i, 4] = 0.5 * LOG2_E * conics[i][2]
+    splats[i, 2] = wp.float32(root)
+    splats[i, 3] = wp.float32(shear)
+    splats[i, 4] = wp.float32(HALF_LOG2_E * wp.float64(conics[i][2]) - shear * shear)
     splats[i, 5] = level
     splats[i, 6] = (level - wp.static(math.log2(ALPHA_MIN))) * 1.0001 + 0.0015
     splats[i, 7] = 1.0 / opacities[i]

@@ -66,7 +66,10 @@ def _unit_gauss(count: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def lookup_brdf(roughness: torch.Tensor, cosine: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """B_x and B_y, each (M,), bilinear in the table; differentiable in ``roughness`` and ``cosine`` = n . v, both (M,), clamped to [0, 1]."""
+    """B_x and B_y, each (M,), bilinear in the table.
+
+    Differentiable in ``roughness`` and ``cosine`` = n . v, both (M,) floats that are clamped to [0, 1].
+    """
     table = brdf_table(roughness.device).to(roughness.dtype).view(-1, 2)
     last = BRDF_SIZE - 1
     x = torch.sqrt(cosine.clamp(_GRAZING, 1.0)) * last

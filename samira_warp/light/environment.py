@@ -47,7 +47,7 @@ class Environment:
 
     @classmethod
     def from_cubemaps(cls, diffuse: torch.Tensor, specular: torch.Tensor) -> Environment:
-        """A light of two maps, such as a learned one: (6, S, S, 3) float32 linear radiance, S even, and divisible by 16 for ``specular``."""
+        """A light of two maps (6, S, S, 3) of linear radiance, such as a learned one: S even, and divisible by 16 for ``specular``."""
         check_tensor("diffuse", diffuse, shape=(6, "S", "S", 3))
         check_tensor("specular", specular, shape=(6, "S", "S", 3))
         return cls(diffuse, specular)
@@ -97,7 +97,9 @@ def read_radiance(path: str | Path) -> torch.Tensor:
         raise UserError(path, expected="an equirectangular map, twice as wide as high", found=f"{spec.width} x {spec.height}")
     radiance = torch.from_numpy(np.ascontiguousarray(_rgb(pixels, list(spec.channelnames), path), dtype=np.float32))
     if not radiance.isfinite().all():
-        raise UserError(path, expected="finite radiance", found=f"{int((~radiance.isfinite()).sum())} values that are infinite or not numbers")
+        raise UserError(
+            path, expected="finite radiance", found=f"{int((~radiance.isfinite()).sum())} values that are infinite or not numbers"
+        )
     return radiance.clamp(min=0)
 
 

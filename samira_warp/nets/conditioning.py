@@ -11,7 +11,7 @@ STANDARD_DEVIATION_FLOOR = 1e-4
 """Below this a condition did not vary in the training frames: it carries nothing and is set to zero."""
 
 CONDITION_LIMIT = 3.0
-"""Deviations; another sequence's conditions are held to what the network can have seen."""
+"""Deviations; another sequence's conditions are held to these, or to the training frames' own extremes where those reach farther."""
 
 
 class Conditions(NamedTuple):
@@ -36,6 +36,7 @@ class ConditionStatistics(nn.Module):
         for name, size in zip(Conditions._fields, (3, expression_size, pose_size), strict=True):
             self.register_buffer(f"{name}_mean", torch.zeros(size))
             self.register_buffer(f"{name}_scale", torch.ones(size))
+            self.register_buffer(f"{name}_limit", torch.full((size,), CONDITION_LIMIT))
 
     @classmethod
     def of(cls, conditions: list[Conditions]) -> ConditionStatistics:
@@ -44,18 +45,20 @@ class ConditionStatistics(nn.Module):
         for name in Conditions._fields:
             stacked = torch.stack([getattr(condition, name) for condition in conditions])
             deviation = stacked.std(dim=0, correction=0)
-            setattr(statistics, f"{name}_mean", stacked.mean(dim=0))
-            setattr(statistics, f"{name}_scale", torch.where(deviation < STANDARD_DEVIATION_FLOOR, 0.0, 1.0 / deviation))
+            mean, scale = stacked.mean(dim=0), torch.where(deviation < STANDARD_DEVIATION_FLOOR, 0.0, 1.0 / deviation)
+            extreme = ((stacked - mean) * scale).abs().amax(dim=0)
+            setattr(statistics, f"{name}_mean", mean)
+            setattr(statistics, f"{name}_scale", scale)
+            setattr(statistics, f"{name}_limit", extreme.clamp(min=CONDITION_LIMIT))
         return statistics
 
     def forward(self, conditions: Conditions) -> Conditions:
-        """Standardise, and clamp to CONDITION_LIMIT deviations; what was constant in training becomes 0."""
-        return Conditions(
-            *(
-                ((value - getattr(self, f"{name}_mean")) * getattr(self, f"{name}_scale")).clamp(-CONDITION_LIMIT, CONDITION_LIMIT)
-                for name, value in zip(Conditions._fields, conditions, strict=True)
-            )
-        )
+        """Standardise and hold to the limits; what was constant in training becomes 0."""
+        return Conditions(*(self._standardise(name, value) for name, value in zip(Conditions._fields, conditions, strict=True)))
+
+    def _standardise(self, name: str, value: torch.Tensor) -> torch.Tensor:
+        limit = getattr(self, f"{name}_limit")
+        return ((value - getattr(self, f"{name}_mean")) * getattr(self, f"{name}_scale")).clamp(-limit, limit)
 
 
 class AdaptiveInstanceNorm(nn.Module):

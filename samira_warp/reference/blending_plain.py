@@ -71,13 +71,13 @@ def _blend(
     columns: wp.int32,
     image: wp.array3d[wp.float32],
     transmittance: wp.array2d[wp.float32],
-):
+) -> None:
     place = _pixel(wp.tid(), columns)
     x, y = place[1], place[2]
     if x >= image.shape[1] or y >= image.shape[0]:
         return
     center = wp.vec2(float(x) + 0.5, float(y) + 0.5)
-    T = float(1.0)
+    T = wp.float32(1.0)
     for entry in range(tile_offsets[place[0]], tile_offsets[place[0] + 1]):
         i = gaussians[entry]
         sigma = _sigma(conics[i], center - means2d[i])
@@ -112,13 +112,13 @@ def _blend_adjoint(
     grad_conics: wp.array[wp.vec3],
     grad_opacities: wp.array[wp.float32],
     grad_features: wp.array2d[wp.float32],
-):
+) -> None:
     place = _pixel(wp.tid(), columns)
     x, y = place[1], place[2]
     if x >= image.shape[1] or y >= image.shape[0]:
         return
     center = wp.vec2(float(x) + 0.5, float(y) + 0.5)
-    T = float(1.0)
+    T = wp.float32(1.0)
     behind = transmittance[y, x] * grad_transmittance[y, x]
     for c in range(features.shape[1]):
         behind += image[y, x, c] * grad_image[y, x, c]
@@ -136,7 +136,7 @@ def _blend_adjoint(
         weight = alpha * T
         if T - weight < wp.static(TRANSMITTANCE_MIN):
             break
-        dot = float(0.0)
+        dot = wp.float32(0.0)
         for c in range(features.shape[1]):
             dot += features[i, c] * grad_image[y, x, c]
             wp.atomic_add(grad_features, i, c, weight * grad_image[y, x, c])

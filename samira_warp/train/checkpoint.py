@@ -90,8 +90,7 @@ def load_training(path: Path, optimizer: torch.optim.Adam, tracked: TrackedParam
             prefix = f"adam.{group['name']}.{index}."
             moments = {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}
             if moments:
-                step = moments.pop("step")
-                optimizer.state[parameter] = {"step": step, **{name: value.to(parameter.device) for name, value in moments.items()}}
+                optimizer.state[parameter] = {name: value.to(parameter.device) for name, value in moments.items()}
     return int(read_json(path / STEP_FILE)["step"])
 
 

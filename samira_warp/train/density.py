@@ -66,7 +66,13 @@ class DensityChange(NamedTuple):
 
 @torch.no_grad()
 def control_density(
-    gaussians: Gaussians, statistics: DensityStatistics, *, face_scales: torch.Tensor, cap: int, generator: torch.Generator
+    gaussians: Gaussians,
+    statistics: DensityStatistics,
+    *,
+    face_scales: torch.Tensor,
+    face_areas: torch.Tensor,
+    cap: int,
+    generator: torch.Generator,
 ) -> DensityChange:
     """Clone or split where the screen-space gradient is large, and remove what is faint; every face keeps at least one.
 
@@ -76,6 +82,7 @@ def control_density(
         gaussians: The Gaussians before the event; UV coordinates of the result are the parents' and want refreshing.
         statistics: Gathered since the last event.
         face_scales: (F,) k of every face on the reference mesh, metres.
+        face_areas: (F,) area of every face on the reference mesh, square metres.
         cap: No more Gaussians than this; those with the largest gradients are served first.
         generator: Draws the split positions.
     """
@@ -84,7 +91,7 @@ def control_density(
     scale = gaussians.scales.amax(dim=1) * face_scales[gaussians.faces.long()]
     faint = _removable(gaussians, face_count=len(face_scales))
     wanted = _largest((gradient > GRADIENT_THRESHOLD) & ~faint, gradient, room=cap - int((~faint).sum()))
-    split = wanted & (scale > SPLIT_SPACING * scale.median())
+    split = wanted & (scale > SPLIT_SPACING * _spacing(gaussians.faces.long(), face_areas).median())
     clone = wanted & ~split
     kept = (~faint & ~split).nonzero()[:, 0]
     parts = [{name: value[kept] for name, value in old.items()}, {name: value[clone] for name, value in old.items()}]
@@ -106,6 +113,12 @@ def _removable(gaussians: Gaussians, *, face_count: int) -> torch.Tensor:
     rank[torch.argsort(opacities, stable=True)] = torch.arange(len(faces), device=faces.device)
     highest = torch.full((face_count,), -1, device=faces.device).scatter_reduce(0, faces, rank, "amax")
     return (opacities < OPACITY_MIN) & (rank < highest[faces])
+
+
+def _spacing(faces: torch.Tensor, face_areas: torch.Tensor) -> torch.Tensor:
+    """(N,) metres between neighbours: each Gaussian's share of its face's area is a square of this side."""
+    count = torch.bincount(faces, minlength=len(face_areas))
+    return (face_areas / count.clamp(min=1)).sqrt()[faces]
 
 
 def _largest(candidates: torch.Tensor, gradient: torch.Tensor, *, room: int) -> torch.Tensor:

@@ -9,8 +9,7 @@ from typing import Any
 
 import torch
 
-from samira_warp.avatar import Avatar
-from samira_warp.avatar.frames import DrivingFrame, write_frames
+from samira_warp.avatar import Avatar, DrivingFrame, write_frames
 from samira_warp.data import PixelCache, Sequence, open_sequence
 from samira_warp.errors import UserError
 from samira_warp.evaluate import ImagePair, evaluate_images, find_lpips

@@ -11,6 +11,7 @@ from samira_warp.avatar import Avatar, Gaussians, Rendering, geometry_uv
 from samira_warp.camera import Camera
 from samira_warp.data import Frame, PixelCache, Sequence
 from samira_warp.evaluate.lpips import Lpips
+from samira_warp.head.geometry import face_areas
 from samira_warp.kernels.triangle_frames import triangle_frames
 from samira_warp.train.checkpoint import TrainingState, load_training, save_checkpoint
 from samira_warp.train.config import LossWeights, Schedule, TrainConfig
@@ -143,7 +144,10 @@ class Trainer:
         if self.schedule.density_event(self.step):
             generator = torch.Generator().manual_seed(self.config.seed * 1_000_003 + self.step)
             scales = triangle_frames(canonical.vertices, canonical.topology).scale
-            change = control_density(avatar.gaussians, self.density, face_scales=scales, cap=self.cap, generator=generator)
+            areas = face_areas(canonical.vertices, canonical.topology.faces)
+            change = control_density(
+                avatar.gaussians, self.density, face_scales=scales, face_areas=areas, cap=self.cap, generator=generator
+            )
             replace_gaussians(self.optimizer, avatar.gaussians, change.gaussians, change.kept)
             self._refresh_uv(change.gaussians)
             self.density = DensityStatistics(len(change.gaussians), self.device)

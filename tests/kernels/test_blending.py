@@ -83,9 +83,10 @@ def test_matches_the_plain_kernels(generator, channels):
     found, gradients = with_gradients(lambda *tensors: blend(*tensors, bins, width=WIDTH, height=HEIGHT), inputs, weights)
     plain = blending_plain.blend(*inputs, bins, width=WIDTH, height=HEIGHT)
     plain_gradients = blending_plain.blend_adjoint(*inputs, bins, plain, *weights)
-    # two exponentials of 2e-7 relative error and sums in another order; no pair of this scene lies that close to a threshold
+    # two exponentials of 2e-7 relative error; the plain form of sigma is three terms of up to some 300 that cancel, 2e-5 where alpha
+    # is a tenth; no pair of this scene lies that close to a threshold
     for one, other in zip(found, plain, strict=True):
-        torch.testing.assert_close(one, other, rtol=0, atol=5e-6)
+        torch.testing.assert_close(one, other, rtol=0, atol=2e-5)
     for one, other in zip(gradients, plain_gradients, strict=True):
         assert relative(one, other.double()) < 1e-5
 
@@ -96,7 +97,9 @@ def test_gradients_match_finite_differences(device, generator):
     conics = torch.tensor([[4e-3, 1e-3, 5e-3], [3e-3, -1e-3, 2e-3], [2e-3, 0.0, 4e-3], [5e-3, 2e-3, 3e-3], [2e-3, 5e-4, 2e-3]])
     opacities, features = torch.tensor([0.6, 0.5, 0.7, 0.4, 0.8]), torch.randn(5, 3, generator=generator)
     inputs = [tensor.to(device) for tensor in (means2d, conics, opacities, features)]
-    projection = Projection(inputs[0], torch.arange(5, device=device).float() + 1, inputs[1], torch.ones(5, dtype=torch.bool, device=device))
+    projection = Projection(
+        inputs[0], torch.arange(5, device=device).float() + 1, inputs[1], torch.ones(5, dtype=torch.bool, device=device)
+    )
     weights = make_weights(generator, device, 3)
     bins = make_bins(projection, inputs[2])
 

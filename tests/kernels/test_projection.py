@@ -169,6 +169,6 @@ def test_bits_do_not_depend_on_threads_or_runs(generator):
 
 
 def test_wrong_shape_is_a_users_error(device):
+    zeros = torch.zeros(3, 3, device=device)
     with pytest.raises(UserError, match="quaternions"):
-        zeros = torch.zeros(3, 3, device=device)
         project(zeros, zeros, zeros, zeros[:, 0], make_camera(device))

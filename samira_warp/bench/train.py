@@ -1,0 +1,59 @@
+"""``bench train``: one training step of a preset, split by stage."""
+
+from __future__ import annotations
+
+import json as json_format
+
+import torch
+
+from samira_warp.bench.subject import make_avatar, make_camera, make_parameters
+from samira_warp.bench.timing import Stages, hardware, print_table, repeat
+from samira_warp.train.config import PRESETS, LossWeights
+from samira_warp.train.losses import Target, total_loss
+from samira_warp.train.optimizer import make_optimizer, set_rates
+from samira_warp.train.tracking import TrackedParameters
+
+
+def measure(device: torch.device, *, preset: str) -> dict[str, object]:
+    """Median milliseconds of a step in stage two, without LPIPS and without decoding images."""
+    size = PRESETS[preset].resolution
+    avatar, camera = make_avatar(preset, device=device), make_camera(size).to(device)
+    parameters = [make_parameters(seed).to(device) for seed in range(4)]
+    tracked = TrackedParameters(parameters).to(device)
+    optimizer = make_optimizer(avatar, tracked)
+    set_rates(optimizer, step=1000, steps=3000)
+    grey = torch.full((size, size, 3), 0.5, device=device)
+    target = Target(grey, torch.ones(size, size, device=device), grey)
+    stages, weights = Stages(device), LossWeights()
+
+    def step() -> None:
+        with stages.stage("light"):
+            light = avatar.light()
+        with stages.stage("motion"):
+            motion = avatar.move(tracked.frame(0, parameters[0]))
+        with stages.stage("raster"):
+            gbuffer = avatar.rasterize(motion, camera)
+        with stages.stage("shading"):
+            rendering = avatar.shade(motion, gbuffer, camera, light)
+        with stages.stage("loss"):
+            terms = total_loss(rendering, target, avatar, weights, stage_two=True, perceptual=None)
+            optimizer.zero_grad(set_to_none=True)
+        with stages.stage("backward"):
+            torch.stack(list(terms.values())).sum().backward()
+        with stages.stage("optimizer"):
+            optimizer.step()
+
+    repeat(step)
+    row = {"preset": preset, "size": size, "gaussians": len(avatar.gaussians)}
+    return {**row, **{f"{name}_ms": value for name, value in stages.medians().items()}}
+
+
+def main(device: str, json: bool) -> None:
+    """Measure the device's preset and print a table, or JSON rows."""
+    on = torch.device(device)
+    rows = [measure(on, preset="paper" if on.type == "cuda" else "cpu")]
+    if json:
+        print(json_format.dumps([{**row, "hardware": hardware(on)} for row in rows]))
+        return
+    print(hardware(on))
+    print_table(rows)

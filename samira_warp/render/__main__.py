@@ -1,0 +1,19 @@
+"""``python -m samira_warp.render``: images, layers and videos of an avatar, re-animated and relit."""
+
+from __future__ import annotations
+
+import sys
+
+from samira_warp.cli import run
+from samira_warp.render.config import RenderConfig
+from samira_warp.render.render import render
+
+
+def main(config: RenderConfig) -> None:
+    """Render, and say where."""
+    count = render(config)
+    print(f"{count} frames in {config.out}", file=sys.stderr)
+
+
+if __name__ == "__main__":
+    sys.exit(run(main, RenderConfig, program="python -m samira_warp.render"))

@@ -1,0 +1,180 @@
+import math
+
+import numpy as np
+import OpenImageIO
+import pytest
+import torch
+
+from samira_warp.camera import Camera
+from samira_warp.errors import UserError
+from samira_warp.kernels.cubemap import texel_solid_angles
+from samira_warp.kernels.cubemap_lookup import sample_cubemap
+from samira_warp.light import Environment, LearnableLight
+from samira_warp.light.environment import read_radiance
+from samira_warp.light.equirect import cube_to_equirect, direction_to_equirect, equirect_directions, equirect_to_cube
+
+
+def write(path, pixels, format=OpenImageIO.FLOAT):
+    height, width, channels = pixels.shape
+    out = OpenImageIO.ImageOutput.create(str(path))
+    out.open(str(path), OpenImageIO.ImageSpec(width, height, channels, format))
+    out.write_image(pixels)
+    out.close()
+    return path
+
+
+def mean_radiance(cubemap):
+    areas = texel_solid_angles(cubemap.shape[1], dtype=torch.float64)[..., None]
+    return (cubemap.double() * areas).sum(dim=(0, 1, 2)) / (4 * math.pi)
+
+
+def equirect_mean(equirect):
+    edges = torch.cos(torch.linspace(0, math.pi, equirect.shape[0] + 1, dtype=torch.float64))
+    return (equirect.double().mean(dim=1) * (edges[:-1] - edges[1:])[:, None] / 2).sum(dim=0)
+
+
+@pytest.mark.parametrize(
+    ("direction", "rotate", "column", "row"),
+    [
+        ((0, 0, -1), 0, 0.5, 0.5),  # straight ahead of the camera: the centre
+        ((1, 0, 0), 0, 0.75, 0.5),  # +x: the right-hand quarter
+        ((-1, 0, 0), 0, 0.25, 0.5),
+        ((0, math.sqrt(0.5), -math.sqrt(0.5)), 0, 0.5, 0.25),  # up: the upper rows
+        ((0, 0, -1), 90, 0.75, 0.5),
+        ((1, 0, 0), 180, 0.25, 0.5),
+    ],
+)
+def test_convention(direction, rotate, column, row):
+    u, v = direction_to_equirect(torch.tensor(direction, dtype=torch.float64), rotate=rotate)
+    assert (u.item(), v.item()) == (pytest.approx(column), pytest.approx(row))
+
+
+@pytest.mark.parametrize("rotate", [0.0, 40.0, -80.0])
+@pytest.mark.parametrize(("row", "column"), [(10, 5), (20, 60), (31, 33)])
+def test_a_bright_pixel_is_found_where_the_convention_puts_it(device, rotate, row, column):
+    equirect = torch.zeros(64, 128, 3)
+    equirect[row, column] = 1.0
+    cubemap = equirect_to_cube(equirect.to(device), size=64, rotate=rotate)
+    directions = equirect_directions(128).view(-1, 3)
+    brightest = directions[sample_cubemap(cubemap, directions.to(device))[:, 0].argmax().item()]
+    u, v = direction_to_equirect(brightest, rotate=rotate)
+    # Within a pixel of the 64 x 128 map.
+    assert (u.item() - (column + 0.5) / 128 + 0.5) % 1.0 - 0.5 == pytest.approx(0, abs=1 / 128)
+    assert v.item() == pytest.approx((row + 0.5) / 64, abs=1 / 64)
+
+
+@pytest.mark.parametrize("size", [8, 32, 64])
+def test_mean_radiance_is_kept(device, generator, size):
+    # Light as in real maps: 1 % of the pixels carry nearly all of it.
+    equirect = torch.rand(64, 128, 3, generator=generator) + 500 * (torch.rand(64, 128, 1, generator=generator) < 0.01)
+    cubemap = equirect_to_cube(equirect.to(device), size=size).cpu()
+    # Samples are dense, not infinitely so: each of the 80 lamps of one pixel is off by a few percent.
+    assert torch.allclose(mean_radiance(cubemap), equirect_mean(equirect), rtol=1e-2)
+
+
+def test_uniform_maps_stay_uniform(device):
+    cubemap = equirect_to_cube(torch.full((32, 64, 3), 2.5, device=device), size=16, rotate=12.0)
+    assert torch.allclose(cubemap, torch.full_like(cubemap, 2.5), rtol=1e-5)
+    assert torch.allclose(cube_to_equirect(cubemap, height=10), torch.tensor(2.5, device=device), rtol=1e-5)
+
+
+def test_equirect_to_cube_and_back(device):
+    directions = equirect_directions(64, device=device)
+    smooth = 1 + 0.5 * directions
+    back = cube_to_equirect(equirect_to_cube(smooth, size=64), height=64)
+    # Bilinear twice over a function of slope 0.5, with texels and pixels of 0.03 and 0.05 rad: second-order errors.
+    assert (back - smooth).abs().max() < 2e-3
+
+
+def test_resampling_is_differentiable(generator):
+    equirect = torch.rand(8, 16, 1, generator=generator, requires_grad=True)
+    cubemap = equirect_to_cube(equirect, size=4)
+    upstream = torch.randn(cubemap.shape, generator=generator)
+    (adjoint,) = torch.autograd.grad(cubemap, equirect, upstream)
+    assert (cubemap * upstream).sum().item() == pytest.approx((equirect * adjoint).sum().item(), rel=1e-4, abs=1e-4)
+
+
+@pytest.mark.parametrize("suffix", [".hdr", ".exr"])
+def test_load(tmp_path, suffix, generator):
+    pixels = torch.rand(32, 64, 3, generator=generator).numpy() * 4
+    pixels[5, 7] = 900.0
+    path = write(tmp_path / f"lämp 1{suffix}", pixels)
+    # .hdr shares one exponent of 8 bits of mantissa between the channels.
+    assert np.allclose(read_radiance(path).numpy(), pixels, rtol=1e-3, atol=8 / 256 if suffix == ".hdr" else 0)
+    environment = Environment.load(path, exposure=2.0, size=32)
+    assert torch.allclose(mean_radiance(environment.specular), 2 * equirect_mean(torch.from_numpy(pixels)), rtol=2e-2)
+    light = environment.filtered()
+    assert light.irradiance.shape == (6, 16, 16, 3)
+    assert [mip.shape[1] for mip in light.specular] == [32, 16, 8, 4, 4]
+
+
+def test_rotation_turns_the_light(tmp_path):
+    pixels = np.zeros((32, 64, 3), np.float32)
+    pixels[16, 32] = 1.0
+    path = write(tmp_path / "lamp.exr", pixels)
+    turned = Environment.load(path, rotate=90.0, size=32)
+    # Column 0.5 is seen where 0.5 + azimuth / 360 + 0.25 is 0.5: at azimuth -90 degrees, -x.
+    assert turned.specular[1].sum() > 0.99 * turned.specular.sum()
+
+
+def test_background_is_the_environment_straight_ahead():
+    pixels = equirect_directions(64)
+    radiance = equirect_to_cube(0.5 + 0.5 * pixels, size=64)
+    environment = Environment(radiance, radiance)
+    flip = torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0]))
+    camera = Camera(flip, fx=20.0, fy=20.0, cx=8.0, cy=6.0, width=16, height=12)
+    seen = environment.background(camera)
+    # The map holds directions: the picture must be the camera's rays; it looks along -z with y up.
+    assert torch.allclose(seen, 0.5 + 0.5 * camera.ray_directions(), atol=1e-3)
+    assert seen[0, 8, 1] > seen[-1, 8, 1]
+    assert seen[6, 8, 2] < 0.02
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda path: path, "no such file"),
+        (lambda path: path.write_bytes(b"not an image") and path, "unreadable"),
+        (lambda path: write(path.with_suffix(".png"), np.zeros((8, 16, 3), np.uint8), OpenImageIO.UINT8), "8-bit"),
+        (lambda path: write(path, np.ones((8, 8, 3), np.float32)), "8 x 8"),
+        (lambda path: write(path, np.full((8, 16, 3), np.inf, np.float32)), "384 values"),
+        (lambda path: write(path, np.ones((8, 16, 2), np.float32)), "channels"),
+    ],
+)
+def test_unusable_files_are_refused_in_one_line(tmp_path, make, message):
+    path = make(tmp_path / "light.exr")
+    with pytest.raises(UserError, match=message) as error:
+        Environment.load(path)
+    assert str(path) in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_real_maps_have_the_brightness_that_the_dataset_states(subject):
+    import json
+
+    luminance = torch.tensor([0.2126, 0.7152, 0.0722], dtype=torch.float64)
+    for name in ("city", "lobby"):
+        stated = json.loads((subject / "gt" / "relight" / f"{name}.json").read_text())
+        environment = Environment.load(subject / stated["file"], rotate=stated["azimuth_degrees"], size=64)
+        assert (mean_radiance(environment.diffuse) @ luminance).item() == pytest.approx(stated["mean_radiance"], rel=1e-2)
+        front = sample_cubemap(environment.filtered().irradiance, torch.tensor([[0.0, 0.0, 1.0]])).double() @ luminance
+        assert front.item() == pytest.approx(stated["front_irradiance_over_pi"], rel=1.5e-2)
+
+
+def test_learnable_light_starts_uniform_and_learns(device):
+    light = LearnableLight(torch.tensor([0.25, 1.0, 30.0])).to(device)
+    start = light()
+    for mip in (start.irradiance, *start.specular):
+        assert torch.allclose(mip, torch.tensor([0.25, 1.0, 30.0], device=device), rtol=1e-3)
+    (start.irradiance.sum() + sum(mip.sum() for mip in start.specular)).backward()
+    assert (light.diffuse.grad > 0).all()
+    assert (light.specular.grad > 0).all()
+    environment = light.environment()
+    assert not environment.specular.requires_grad
+    assert torch.allclose(environment.filtered().specular[1], start.specular[1])
+
+
+def test_learnable_light_survives_black_and_extreme_radiance():
+    for value in (0.0, 1e-6, 1e4):
+        diffuse, _ = LearnableLight(torch.full((3,), value)).radiance()
+        assert torch.allclose(diffuse, torch.tensor(max(value, 1e-4)), rtol=1e-3)
