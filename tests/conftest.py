@@ -30,3 +30,21 @@ def subject():
     if not SUBJECT.is_dir():
         pytest.skip(f"the real subject is absent: {SUBJECT.name} is not part of the project")
     return SUBJECT
+
+
+@pytest.fixture(scope="session")
+def tiny_dataset(tmp_path_factory):
+    """A made-up subject of six frames of 32 x 32 pixels, four of which train. Tests that change it copy it first."""
+    from data.tiny import make_tiny_dataset
+
+    return make_tiny_dataset(tmp_path_factory.mktemp("tiny") / "subject")
+
+
+@pytest.fixture(scope="session")
+def tiny_run(tiny_dataset, tmp_path_factory):
+    """The finished run of `subjects.STEPS` steps on `tiny_dataset`."""
+    from subjects import train_arguments, train_command
+
+    folder = tmp_path_factory.mktemp("run") / "out"
+    assert train_command(*train_arguments(tiny_dataset, folder)) == 0
+    return folder

@@ -15,9 +15,10 @@ from samira_warp.avatar.gaussians import Gaussians
 from samira_warp.avatar.gbuffer import GBuffer, SurfaceAttributes, render_gbuffer
 from samira_warp.avatar.residual import axis_angle_to_quaternion, limit_residual, quaternion_product
 from samira_warp.avatar.response import response_factors, response_map
-from samira_warp.avatar.storage import find_avatar, read_avatar, write_avatar
+from samira_warp.avatar.storage import DESCRIPTION_FILE, TENSORS_FILE, find_avatar, read_avatar, write_avatar
 from samira_warp.camera import Camera
 from samira_warp.constants import COVERED_ALPHA
+from samira_warp.errors import UserError
 from samira_warp.head import REGIONS, FrameParameters, PosedHead, UvAtlas
 from samira_warp.kernels.binding import BoundGaussians, FaceBinding, bind
 from samira_warp.kernels.gather import GatherTable, bilinear_table, gather
@@ -241,7 +242,8 @@ class Avatar(nn.Module):
         Raises:
             UserError: A file is missing, broken, or of another format.
         """
-        stored = read_avatar(find_avatar(Path(path)), device="cpu")
+        folder = find_avatar(Path(path))
+        stored = read_avatar(folder, device="cpu")
         settings = AvatarSettings(**{**stored.settings, "motion": MotionSettings(**stored.settings["motion"])})
         tensors = dict(stored.tensors)
         canonical = CanonicalHead.build(
@@ -257,7 +259,11 @@ class Avatar(nn.Module):
             statistics=ConditionStatistics(expression_size=stored.template.n_expression, pose_size=POSE_SIZE),
             light=LearnableLight(torch.ones(3)),
         )
-        avatar.load_state_dict(tensors)
+        try:
+            avatar.load_state_dict(tensors)
+        except RuntimeError as error:
+            misfit = str(error).splitlines()[1]
+            raise UserError(folder / TENSORS_FILE, expected=f"tensors as {DESCRIPTION_FILE} describes them", found=misfit) from error
         return avatar.to(device)
 
 

@@ -77,11 +77,15 @@ def read_avatar(folder: Path, *, device: torch.device | str) -> StoredAvatar:
     description = read_json(folder / DESCRIPTION_FILE)
     if description.get("format") != FORMAT:
         raise UserError(folder / DESCRIPTION_FILE, expected=f"format {FORMAT}", found=description.get("format"))
+    for part in ("settings", "record"):
+        if not isinstance(description.get(part), dict):
+            raise UserError(folder / DESCRIPTION_FILE, expected=f"an object {part!r}", found=type(description.get(part)).__name__)
     try:
         tensors = load_file(folder / TENSORS_FILE, device=str(device))
     except (OSError, SafetensorError) as error:
         raise UserError(folder / TENSORS_FILE, expected="the avatar's tensors", found=error) from error
     template = read_template(folder / TEMPLATE_FILE)
-    if template.hash != description["record"]["template"]:
-        raise UserError(folder / TEMPLATE_FILE, expected=f"the template {description['record']['template'][:12]}", found=template.hash[:12])
+    recorded = str(description["record"].get("template"))
+    if template.hash != recorded:
+        raise UserError(folder / TEMPLATE_FILE, expected=f"the template {recorded[:12]}", found=template.hash[:12])
     return StoredAvatar(description["settings"], description["record"], tensors, template)

@@ -251,6 +251,12 @@ def cell_index(cell: Footprint, size: wp.int32) -> wp.int32:
 
 
 @wp.func
+def cell_count(size: wp.int32) -> wp.int32:
+    """Cells of a map."""
+    return 6 * (size + 1) * (size + 1)
+
+
+@wp.func
 def bilinear_weights(cell: Footprint) -> wp.vec4:
     """Weights of the cell's four texels."""
     return wp.vec4((1.0 - cell.x) * (1.0 - cell.y), cell.x * (1.0 - cell.y), (1.0 - cell.x) * cell.y, cell.x * cell.y)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterator, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 import warp as wp
@@ -55,7 +55,7 @@ def irradiance(radiance: torch.Tensor, *, size: int = 16) -> torch.Tensor:
         UserError: A wrong shape or dtype, or an odd size.
     """
     _check(radiance, (size,))
-    return _Filter.apply(radiance, size, 1.0, False)
+    return _Filters.apply(radiance, (Lobe(size, alpha=1.0, normalised=False),))[0]
 
 
 def prefilter(base: torch.Tensor, *, ladder: Sequence[tuple[float, int]]) -> tuple[torch.Tensor, ...]:
@@ -75,44 +75,68 @@ def prefilter(base: torch.Tensor, *, ladder: Sequence[tuple[float, int]]) -> tup
     for roughness, _ in ladder:
         if not 0 < roughness <= 1:
             raise UserError("ladder", expected="roughness in (0, 1]", found=roughness)
-    return (base, *(_Filter.apply(base, size, roughness * roughness, True) for roughness, size in ladder))
+    lobes = tuple(Lobe(size, alpha=roughness * roughness, normalised=True) for roughness, size in ladder)
+    return (base, *_Filters.apply(base, lobes))
 
 
-class _Filter(torch.autograd.Function):
-    @staticmethod
-    def forward(ctx: Any, base: torch.Tensor, size: int, alpha: float, normalised: bool) -> torch.Tensor:
-        device, channels = base.device, base.shape[-1]
-        columns = len(PERMUTATIONS) * channels
-        parts = _to_parities(base).view(-1, channels)[spread_table(base.shape[1], device)]
-        # Texels last: skinny matrix products are half as fast again this way round.
-        parts = parts.view(OCTANTS, -1, columns).transpose(1, 2).contiguous()
-        representatives = len(symmetry(size, device).representatives)
-        products = base.new_zeros(OCTANTS, columns, representatives)
-        sums = base.new_zeros(representatives)
-        for rows, texels, weights in _weights(base.shape[1], size, alpha, device):
-            products[..., rows] += parts[..., texels] @ weights.transpose(1, 2)
-            # The even parity of a row is the sum over the octants.
-            sums[rows] += weights[0].sum(dim=1)
-        scale = 1.0 / sums if normalised else torch.full_like(sums, 1.0 / torch.pi)
-        ctx.save_for_backward(scale)
-        ctx.base_size, ctx.size, ctx.alpha = base.shape[1], size, alpha
-        products = (products * scale).transpose(1, 2).reshape(-1, channels)
-        return _from_parities(products[result_table(size, device)], size) / OCTANTS
+class Lobe(NamedTuple):
+    """A filter: its result's size, its width, and whether its weights are divided by their sum or by pi."""
+
+    size: int
+    alpha: float
+    normalised: bool
+
+
+class _Filters(torch.autograd.Function):
+    """Several filters of one map."""
 
     @staticmethod
-    def backward(ctx: Any, grad: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        (scale,) = ctx.saved_tensors
-        device, channels = grad.device, grad.shape[-1]
-        columns = len(PERMUTATIONS) * channels
-        products = grad.new_zeros(OCTANTS * len(scale) * len(PERMUTATIONS), channels)
-        # No row of the products is read twice, so this copies and never adds.
-        products[result_table(ctx.size, device)] = _to_parities(grad) / OCTANTS
-        products = (products.view(OCTANTS, -1, columns) * scale[:, None]).transpose(1, 2).contiguous()
-        parts = grad.new_zeros(OCTANTS, columns, FACES * ctx.base_size**2 // OCTANTS)
-        for rows, texels, weights in _weights(ctx.base_size, ctx.size, ctx.alpha, device):
-            parts[..., texels] += products[..., rows] @ weights
-        parts = parts.transpose(1, 2).reshape(-1, channels)[collect_table(ctx.base_size, device)].sum(dim=1)
-        return _from_parities(parts.view(OCTANTS, -1, channels), ctx.base_size), None, None, None
+    def forward(ctx: Any, base: torch.Tensor, lobes: tuple[Lobe, ...]) -> tuple[torch.Tensor, ...]:
+        parts = _spread(base)
+        results, scales = [], []
+        for lobe in lobes:
+            rows = len(symmetry(lobe.size, base.device).representatives)
+            products, sums = base.new_zeros(OCTANTS, parts.shape[1], rows), base.new_zeros(rows)
+            for block, texels, weights in _weights(base.shape[1], lobe, base.device):
+                products[..., block] += parts[..., texels] @ weights.transpose(1, 2)
+                # The even parity of a row is the sum over the octants.
+                sums[block] += weights[0].sum(dim=1)
+            scales.append(1.0 / sums if lobe.normalised else torch.full_like(sums, 1.0 / torch.pi))
+            products = (products * scales[-1]).transpose(1, 2).reshape(-1, base.shape[-1])
+            results.append(_from_parities(products[result_table(lobe.size, base.device)], lobe.size) / OCTANTS)
+        ctx.save_for_backward(*scales)
+        ctx.base_size, ctx.lobes = base.shape[1], lobes
+        return tuple(results)
+
+    @staticmethod
+    def backward(ctx: Any, *grads: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+        device, columns = grads[0].device, len(PERMUTATIONS) * grads[0].shape[-1]
+        parts = grads[0].new_zeros(OCTANTS, columns, FACES * ctx.base_size**2 // OCTANTS)
+        for lobe, scale, grad in zip(ctx.lobes, ctx.saved_tensors, grads, strict=True):
+            products = grad.new_zeros(OCTANTS * len(scale) * len(PERMUTATIONS), grad.shape[-1])
+            # No row of the products is read twice, so this copies and never adds.
+            products[result_table(lobe.size, device)] = _to_parities(grad) / OCTANTS
+            products = (products.view(OCTANTS, -1, columns) * scale[:, None]).transpose(1, 2).contiguous()
+            for block, texels, weights in _weights(ctx.base_size, lobe, device):
+                parts[..., texels] += products[..., block] @ weights
+        return _collect(parts, ctx.base_size), None
+
+
+def _spread(cubemap: torch.Tensor) -> torch.Tensor:
+    """(8, 6 C, U): the parity parts of a cubemap (6, S, S, C) in all six turns, texels last.
+
+    Skinny matrix products are half as fast again with the long axis last.
+    """
+    octants = _to_parities(cubemap)
+    turned = octants.view(-1, cubemap.shape[-1])[spread_table(cubemap.shape[1], cubemap.device)]
+    return turned.view(*octants.shape[:2], -1).transpose(1, 2).contiguous()
+
+
+def _collect(parts: torch.Tensor, size: int) -> torch.Tensor:
+    """(6, S, S, C) transpose of `_spread`."""
+    channels = parts.shape[1] // len(PERMUTATIONS)
+    rows = parts.transpose(1, 2).reshape(-1, channels)[collect_table(size, parts.device)].sum(dim=1)
+    return _from_parities(rows.view(OCTANTS, -1, channels), size)
 
 
 def _to_parities(cubemap: torch.Tensor) -> torch.Tensor:
@@ -129,19 +153,19 @@ def _from_parities(parts: torch.Tensor, size: int) -> torch.Tensor:
     return result.view(FACES, size, size, -1)
 
 
-def _weights(base_size: int, size: int, alpha: float, device: torch.device) -> Iterator[tuple[slice, slice, torch.Tensor]]:
+def _weights(base_size: int, lobe: Lobe, device: torch.device) -> Iterator[tuple[slice, slice, torch.Tensor]]:
     """Blocks (rows, texels, (8, rows, texels) weights) of the eight matrices of a filter, before normalisation."""
-    rows = len(symmetry(size, device).representatives)
+    rows = len(symmetry(lobe.size, device).representatives)
     texels = FACES * base_size * base_size // OCTANTS
     if OCTANTS * rows * texels <= _CACHED_WEIGHTS:
-        yield slice(0, rows), slice(0, texels), _stored_weights(base_size, size, alpha, device)
+        yield slice(0, rows), slice(0, texels), _stored_weights(base_size, lobe.size, lobe.alpha, device)
         return
     width = min(texels, _BLOCK_WIDTH)
     height = max(1, _BLOCK_WEIGHTS // (OCTANTS * width))
     for first_row in range(0, rows, height):
         for first_texel in range(0, texels, width):
             block = slice(first_row, min(first_row + height, rows)), slice(first_texel, min(first_texel + width, texels))
-            yield *block, _make_weights(base_size, size, alpha, *block, device)
+            yield *block, _make_weights(base_size, lobe.size, lobe.alpha, *block, device)
 
 
 @functools.lru_cache(maxsize=16)

@@ -17,6 +17,7 @@ from samira_warp.kernels.cubemap import (
     FACES,
     Footprint,
     bilinear_weights,
+    cell_count,
     cell_index,
     cell_texels,
     face_point,
@@ -231,7 +232,7 @@ def _sample_adjoint(
         cells[m, slot] = table[level, 2] + cell_index(cell, size)
         places[m, slot] = wp.vec3(cell.x, cell.y, share)
         if not seen or share == 0.0:
-            cells[m, slot] = table[count - 1, 2] + 6 * (table[count - 1, 0] + 1) * (table[count - 1, 0] + 1)
+            cells[m, slot] = table[count - 1, 2] + cell_count(table[count - 1, 0])
         taps = cell_texels(cell, size)
         weights = spread_corner(bilinear_weights(cell), taps)
         along_x = spread_corner(wp.vec4(cell.y - 1.0, 1.0 - cell.y, -cell.y, cell.y), taps)

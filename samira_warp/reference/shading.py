@@ -1,14 +1,14 @@
-"""Deferred shading in plain torch, for any floating dtype: the specification of `light.shading.shade`."""
+"""Deferred shading in plain torch, for any floating dtype: the specification of `kernels.deferred_shading`."""
 
 from __future__ import annotations
 
 import torch
 
-from samira_warp.light.brdf import lookup_brdf
+from samira_warp.kernels.deferred_shading import GRAZING, Shaded
 from samira_warp.reference.cubemap import sample_cubemap, sample_mips
 
 
-def shade(
+def shade_gbuffer(
     albedo: torch.Tensor,
     normal: torch.Tensor,
     roughness: torch.Tensor,
@@ -16,14 +16,32 @@ def shade(
     response_diffuse: torch.Tensor,
     response_specular: torch.Tensor,
     view: torch.Tensor,
-    irradiance_map: torch.Tensor,
+    *,
+    irradiance: torch.Tensor,
     mips: tuple[torch.Tensor, ...],
-) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Eqs. response_shading and pbr_color: color, irradiance, specular_light and specular_color, each (M, 3); see `light.shading.shade`."""
+    brdf: torch.Tensor,
+) -> Shaded:
+    """See `kernels.deferred_shading.shade_gbuffer`; normals are not zero."""
     cosine = (normal * view).sum(dim=-1, keepdim=True)
     reflected = 2 * cosine * normal - view
-    irradiance = response_diffuse * sample_cubemap(irradiance_map, normal)
-    specular_light = response_specular * sample_mips(mips, reflected, roughness[:, 0] * (len(mips) - 1))
-    scale, bias = lookup_brdf(roughness[:, 0], cosine[:, 0])
-    specular_color = specular_light * (specular * scale[:, None] + bias[:, None])
-    return albedo * (1 - specular) * irradiance + specular_color, irradiance, specular_light, specular_color
+    diffuse = response_diffuse * sample_cubemap(irradiance, normal)
+    light = response_specular * sample_mips(mips, reflected, roughness[:, 0] * (len(mips) - 1))
+    scale, bias = lookup_brdf(brdf, roughness, cosine)
+    shine = light * (specular * scale + bias)
+    return Shaded(albedo * (1 - specular) * diffuse + shine, diffuse, light, shine)
+
+
+def lookup_brdf(brdf: torch.Tensor, roughness: torch.Tensor, cosine: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """B_x and B_y, each (M, 1), bilinear in the table (N, N, 2), at ``roughness`` and ``cosine`` = n . v, (M, 1), clamped to [0, 1]."""
+    nodes = brdf.shape[0]
+    table = brdf.to(roughness.dtype).view(-1, 2)
+    x = torch.sqrt(cosine.clamp(GRAZING, 1.0)) * (nodes - 1)
+    y = roughness.clamp(0.0, 1.0) * (nodes - 1)
+    column = x.detach().long().clamp(max=nodes - 2)
+    row = y.detach().long().clamp(max=nodes - 2)
+    x, y = x - column, y - row
+    first = (row * nodes + column)[:, 0]
+    upper = table[first] * (1 - x) + table[first + 1] * x
+    lower = table[first + nodes] * (1 - x) + table[first + nodes + 1] * x
+    terms = upper * (1 - y) + lower * y
+    return terms[:, :1], terms[:, 1:]

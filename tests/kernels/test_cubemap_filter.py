@@ -39,7 +39,7 @@ def test_gradients_match_brute_force(device, generator):
     results = (*prefilter(inner, ladder=ladder)[1:], irradiance(inner, size=6))
     for result, wanted in zip(results, expected, strict=True):
         upstream = torch.randn(wanted.shape, generator=generator, dtype=torch.float64)
-        (grad,) = torch.autograd.grad(result, inner, upstream.float().to(device))
+        (grad,) = torch.autograd.grad(result, inner, upstream.float().to(device), retain_graph=True)
         (wanted_grad,) = torch.autograd.grad(wanted, base, upstream)
         assert (grad.cpu() - wanted_grad).norm() <= 1e-5 * wanted_grad.norm()
 
@@ -48,7 +48,7 @@ def test_adjoint(device, generator):
     base = torch.randn(6, 32, 32, 3, generator=generator).to(device).requires_grad_()
     for result in (*prefilter(base, ladder=LADDER)[1:], irradiance(base)):
         upstream = torch.randn(result.shape, generator=generator).to(device)
-        (adjoint,) = torch.autograd.grad(result, base, upstream)
+        (adjoint,) = torch.autograd.grad(result, base, upstream, retain_graph=True)
         forward = (result.double() * upstream.double()).sum()
         assert abs(forward - (base.double() * adjoint.double()).sum()) <= 1e-5 * result.norm() * upstream.norm()
 

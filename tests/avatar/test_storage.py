@@ -1,0 +1,159 @@
+import json
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from subjects import camera, parameters, small_avatar
+
+from samira_warp import Avatar, UserError
+from samira_warp.avatar import DrivingFrame, read_frames, write_frames
+from samira_warp.nets import MotionSettings
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory):
+    avatar = small_avatar(perturb=0.3)
+    with torch.no_grad():
+        avatar.response_logits.normal_()
+    folder = tmp_path_factory.mktemp("avatar") / "avatar"
+    folder.mkdir()
+    avatar.save(folder, record={"subject": "tiny", "split": "dataset"})
+    write_frames(folder, [DrivingFrame("one", parameters(0), camera(32), "train")])
+    return avatar, folder
+
+
+@pytest.fixture
+def copy(saved, tmp_path):
+    return shutil.copytree(saved[1], tmp_path / "copy")
+
+
+def test_a_loaded_avatar_renders_the_same_bits(saved):
+    avatar, folder = saved
+    loaded = Avatar.load(folder)
+    frame, view = parameters(1), camera(32)
+    with torch.no_grad():
+        before, after = avatar.render(frame, view), loaded.render(frame, view)
+    assert torch.equal(before.image, after.image)
+    for name in ("albedo", "normal", "roughness", "specular", "response_diffuse", "response_specular", "depth", "alpha"):
+        assert torch.equal(getattr(before.gbuffer, name), getattr(after.gbuffer, name)), name
+    assert loaded.settings == avatar.settings
+
+
+def test_every_setting_survives(tmp_path):
+    avatar = small_avatar(
+        motion=MotionSettings(width=6, region_width=3, condition_width=5, bands=2, routing=False, displacement=False),
+        residual_frame="head",
+        displacement_frame="world",
+        color_space="raw",
+        response=False,
+    )
+    avatar.save(tmp_path, record={})
+    assert Avatar.load(tmp_path).settings == avatar.settings
+
+
+def test_a_static_offset_survives(tmp_path):
+    avatar = small_avatar()
+    offset = torch.full_like(avatar.canonical.vertices, 1e-3)
+    avatar.canonical = replace(avatar.canonical, static_offset=offset)
+    avatar.save(tmp_path, record={})
+    assert torch.equal(Avatar.load(tmp_path).canonical.static_offset, offset)
+
+
+def test_a_run_folder_stands_for_its_avatar(saved):
+    _, folder = saved
+    assert torch.equal(Avatar.load(folder.parent).gaussians.means, Avatar.load(str(folder)).gaussians.means)
+
+
+def test_the_files_hold_no_pickle(saved):
+    _, folder = saved
+    assert sorted(path.name for path in folder.iterdir()) == ["avatar.json", "avatar.safetensors", "frames.safetensors", "template.npz"]
+    with np.load(folder / "template.npz", allow_pickle=False) as archive:
+        assert all(archive[key].dtype.kind != "O" for key in archive)
+    assert json.loads((folder / "avatar.json").read_text())["record"]["subject"] == "tiny"
+
+
+def refuses(path, *fragments, load=Avatar.load):
+    """Loading fails with a UserError of one line that names the file and what is wrong."""
+    with pytest.raises(UserError) as caught:
+        load(path)
+    message = str(caught.value)
+    assert "\n" not in message
+    for fragment in fragments:
+        assert str(fragment) in message, message
+
+
+def test_no_avatar_there(tmp_path):
+    refuses(tmp_path / "nowhere", tmp_path / "nowhere", "no such folder")
+    refuses(tmp_path, tmp_path, "no avatar.json")
+
+
+@pytest.mark.parametrize("name", ["avatar.safetensors", "template.npz"])
+def test_a_missing_file_is_named(copy, name):
+    (copy / name).unlink()
+    refuses(copy, copy / name)
+
+
+@pytest.mark.parametrize("name", ["avatar.json", "avatar.safetensors", "template.npz"])
+@pytest.mark.parametrize("damage", ["cut", "empty", "other"])
+def test_a_broken_file_is_named(copy, name, damage):
+    content = (copy / name).read_bytes()
+    (copy / name).write_bytes({"cut": content[: len(content) // 2], "empty": b"", "other": b"\x00\xff" * 100}[damage])
+    refuses(copy, copy / name)
+
+
+def test_another_format_is_refused(copy):
+    description = json.loads((copy / "avatar.json").read_text())
+    (copy / "avatar.json").write_text(json.dumps({**description, "format": 99}))
+    refuses(copy, copy / "avatar.json", "format 1", "99")
+
+
+def test_a_description_of_another_kind_is_refused(copy):
+    (copy / "avatar.json").write_text("[]")
+    refuses(copy, copy / "avatar.json", "JSON object")
+
+
+@pytest.mark.parametrize("lacks", ["settings", "record"])
+def test_a_description_without_a_part_is_refused(copy, lacks):
+    description = json.loads((copy / "avatar.json").read_text())
+    del description[lacks]
+    (copy / "avatar.json").write_text(json.dumps(description))
+    refuses(copy, copy / "avatar.json")
+
+
+def test_another_template_is_refused(copy):
+    with np.load(copy / "template.npz") as archive:
+        arrays = dict(archive)
+    arrays["v_template"] = arrays["v_template"] * 1.01
+    np.savez(copy / "template.npz", **arrays)
+    refuses(copy, copy / "template.npz", "template")
+
+
+def test_tensors_of_another_avatar_are_refused(copy, tmp_path):
+    other = tmp_path / "other"
+    other.mkdir()
+    small_avatar(motion=MotionSettings(width=4, region_width=2)).save(other, record={})
+    shutil.copy(other / "avatar.safetensors", copy / "avatar.safetensors")
+    refuses(copy, copy / "avatar.safetensors")
+
+
+def test_frames_come_back(tmp_path, saved):
+    folder = shutil.copytree(saved[1], tmp_path / "avatar")
+    frames = [DrivingFrame(f"{index:05d}_00", parameters(index), camera(48, height=32), part) for index, part in enumerate(["test", "train", "train"])]
+    write_frames(folder, frames)
+    found = read_frames(folder)
+    assert [(frame.name, frame.part) for frame in found] == [("00000_00", "test"), ("00001_00", "train"), ("00002_00", "train")]
+    for before, after in zip(frames, found, strict=True):
+        for name in ("translation", "rotation", "neck", "jaw", "eyes", "expression"):
+            assert torch.equal(getattr(before.parameters, name), getattr(after.parameters, name))
+        assert torch.equal(before.camera.world_to_camera, after.camera.world_to_camera)
+        assert replace(before.camera, world_to_camera=None) == replace(after.camera, world_to_camera=None)
+
+
+def test_missing_and_broken_frames_are_named(copy):
+    path = copy / "frames.safetensors"
+    path.write_bytes(path.read_bytes()[:50])
+    refuses(copy, path, load=read_frames)
+    path.unlink()
+    refuses(copy, path, load=read_frames)

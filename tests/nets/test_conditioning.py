@@ -1,0 +1,75 @@
+import torch
+
+from samira_warp.nets import AdaptiveInstanceNorm, Conditions, ConditionStatistics
+from samira_warp.nets.conditioning import CONDITION_LIMIT, STANDARD_DEVIATION_FLOOR
+
+
+def frames(generator, count=50):
+    """Translations that barely move, expressions of which one is constant, poses."""
+    constant = torch.tensor([0.0, 1.0, 1.0, 1.0])
+    return [
+        Conditions(
+            0.01 * torch.randn(3, generator=generator) + 2.0,
+            torch.randn(4, generator=generator) * constant + 5.0,
+            torch.randn(15, generator=generator),
+        )
+        for _ in range(count)
+    ]
+
+
+def test_training_frames_get_mean_zero_and_deviation_one_and_none_is_clamped(generator):
+    conditions = frames(generator)
+    statistics = ConditionStatistics.of(conditions)
+    for name in Conditions._fields:
+        stacked = torch.stack([getattr(statistics(condition), name) for condition in conditions])
+        raw = torch.stack([getattr(condition, name) for condition in conditions]).double()
+        expected = (raw - raw.mean(0)) / raw.std(0, correction=0).clamp(min=STANDARD_DEVIATION_FLOOR)
+        # float32 differences of values about 2 with a deviation of 0.01: 2^-23 * 2 / 0.01 = 2e-5
+        torch.testing.assert_close(stacked.double(), expected, atol=1e-4, rtol=0)
+    # the sample holds values beyond three deviations, or the test would not show that they pass
+    assert stacked.abs().max() > CONDITION_LIMIT
+
+
+def test_what_is_constant_or_varies_below_the_floor_becomes_zero(generator):
+    below = 0.5 * STANDARD_DEVIATION_FLOOR
+    conditions = [Conditions(torch.tensor([0.0, sign * below, sign]), torch.zeros(2), torch.zeros(15)) for sign in (-1.0, 1.0)]
+    statistics = ConditionStatistics.of(conditions)
+    driven = statistics(Conditions(torch.tensor([9.0, 9.0, 0.5]), torch.full((2,), 9.0), torch.full((15,), -9.0)))
+    torch.testing.assert_close(driven.translation, torch.tensor([0.0, 0.0, 0.5]))
+    assert (driven.expression == 0).all()
+    assert (driven.pose == 0).all()
+
+
+def test_other_sequences_are_held_to_three_deviations_or_to_the_training_frames_extremes(generator):
+    conditions = frames(generator)
+    statistics = ConditionStatistics.of(conditions)
+    driven = statistics(Conditions(torch.full((3,), 100.0), torch.full((4,), -100.0), torch.full((15,), 100.0)))
+    assert CONDITION_LIMIT == 3.0
+    assert driven.expression[0] == 0.0
+    for name, sign in (("translation", 1.0), ("expression", -1.0), ("pose", 1.0)):
+        seen = torch.stack([getattr(statistics(condition), name) for condition in conditions]).abs().amax(0)
+        limit = torch.where(seen > 0, seen.clamp(min=CONDITION_LIMIT), 0.0)
+        torch.testing.assert_close(getattr(driven, name), sign * limit)
+
+
+def test_statistics_are_part_of_the_state(generator):
+    statistics = ConditionStatistics.of(frames(generator))
+    other = ConditionStatistics(expression_size=4, pose_size=15)
+    other.load_state_dict(statistics.state_dict())
+    condition = frames(generator, 1)[0]
+    assert all(torch.equal(a, b) for a, b in zip(statistics(condition), other(condition), strict=True))
+
+
+def test_adain_gives_each_channel_the_mean_and_deviation_that_the_condition_asks_for(device, generator):
+    torch.manual_seed(0)
+    layer = AdaptiveInstanceNorm(5, 3, hidden=8).double().to(device)
+    features = (3.0 + 2.0 * torch.randn(1, 5, 16, 16, generator=generator, dtype=torch.float64)).to(device)
+    condition = torch.randn(3, generator=generator, dtype=torch.float64).to(device)
+    scale, shift = layer.affine(condition).view(2, 5)
+    adapted = layer(features, condition)[0].flatten(1)
+    torch.testing.assert_close(adapted.mean(1), shift)
+    # instance_norm divides by sqrt(variance + 1e-5): with a variance of 4 the deviation falls short by 1.25e-6
+    torch.testing.assert_close(adapted.std(1, correction=0), (1.0 + scale).abs(), rtol=2e-6, atol=0)
+    mean, deviation = features.mean((2, 3), keepdim=True), features.var((2, 3), correction=0, keepdim=True).add(1e-5).sqrt()
+    expected = (features - mean) / deviation * (1.0 + scale.view(1, 5, 1, 1)) + shift.view(1, 5, 1, 1)
+    torch.testing.assert_close(layer(features, condition), expected)
