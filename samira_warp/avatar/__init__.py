@@ -1,6 +1,6 @@
 """The avatar and its parts."""
 
-from samira_warp.avatar.avatar import Avatar, AvatarSettings, Motion, Rendering, conditions_of, shade_gbuffer
+from samira_warp.avatar.avatar import Avatar, AvatarSettings, Motion, Rendering, conditions_of
 from samira_warp.avatar.canonical import CanonicalHead
 from samira_warp.avatar.frames import DrivingFrame, read_frames, write_frames
 from samira_warp.avatar.gaussians import Gaussians
@@ -20,6 +20,5 @@ __all__ = [
     "conditions_of",
     "geometry_uv",
     "read_frames",
-    "shade_gbuffer",
     "write_frames",
 ]

@@ -216,7 +216,7 @@ class Avatar(nn.Module):
         exposure: float = 1.0,
     ) -> Rendering:
         """Deferred shading and compositing of a G-buffer (Eqs. response_shading to alpha_compose)."""
-        shaded = shade_gbuffer(gbuffer, camera, light)
+        shaded = _shade_pixels(gbuffer, camera, light)
         covered = gbuffer.alpha >= COVERED_ALPHA
         color = torch.where(covered, shaded.color, torch.zeros_like(shaded.color))
         image = compose(color, gbuffer.alpha, background, exposure=exposure, color_space=self.settings.color_space)
@@ -273,7 +273,7 @@ def conditions_of(parameters: FrameParameters) -> Conditions:
     return Conditions(parameters.translation, parameters.expression, pose)
 
 
-def shade_gbuffer(gbuffer: GBuffer, camera: Camera, light: FilteredLight) -> Shaded:
+def _shade_pixels(gbuffer: GBuffer, camera: Camera, light: FilteredLight) -> Shaded:
     """Shade every pixel of a G-buffer; the maps of the result are (H, W, 3)."""
     view = -camera.ray_directions()
     flat = {name: getattr(gbuffer, name).flatten(0, 1) for name in SurfaceAttributes._fields}

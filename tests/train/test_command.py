@@ -1,0 +1,141 @@
+"""``python -m samira_warp.train`` from its options to its files."""
+
+import json
+import math
+import os
+import subprocess
+import sys
+
+import OpenImageIO
+import pytest
+import torch
+from safetensors.torch import load_file
+from subjects import STEPS, train_arguments, train_command
+
+from samira_warp.avatar import read_frames
+from samira_warp.train.config import PRESETS, TrainConfig
+from samira_warp.train.setup import resolve
+
+
+def lines(path):
+    return [json.loads(line) for line in path.read_text().splitlines()]
+
+
+def same_bits(first, second):
+    return (first / "avatar" / "avatar.safetensors").read_bytes() == (second / "avatar" / "avatar.safetensors").read_bytes()
+
+
+def test_a_run_folder_holds_what_the_contract_says(tiny_run):
+    names = {path.name for path in tiny_run.iterdir()}
+    events = {name for name in names if name.startswith("events.out.tfevents")}
+    assert len(events) == 1
+    assert names - events == {"config.json", "metrics.jsonl", "checkpoints", "avatar", "results.json", "preview"}
+    assert {path.name for path in (tiny_run / "avatar").iterdir()} == {
+        "avatar.json",
+        "avatar.safetensors",
+        "frames.safetensors",
+        "template.npz",
+    }
+    assert sorted(path.name for path in (tiny_run / "checkpoints").iterdir()) == ["step_000003", "step_000006"]
+    assert sorted(path.name for path in (tiny_run / "preview").iterdir()) == ["000003.png", "000006.png"]
+
+
+def test_config_tells_how_the_run_was_made(tiny_run, tiny_dataset):
+    record = json.loads((tiny_run / "config.json").read_text())
+    assert record["settings"]["seed"] == 42
+    assert record["settings"]["data"] == str(tiny_dataset)
+    assert set(record["settings"]) == set(TrainConfig.__dataclass_fields__)
+    assert (record["steps"], record["train_frames"], record["test_frames"]) == (STEPS, 4, 2)
+    assert (record["encoder"], record["split"], record["subject"]) == ("random", "dataset", "subject")
+    assert len(record["template_hash"]) == 64
+    assert {"python", "torch", "warp-lang", "samira-warp"} <= set(record["versions"])
+    described = json.loads((tiny_run / "avatar" / "avatar.json").read_text())
+    assert described["record"]["split"] == "dataset"
+    assert described["record"]["template"] == record["template_hash"]
+
+
+def test_metrics_end_with_the_last_step(tiny_run):
+    last = lines(tiny_run / "metrics.jsonl")[-1]
+    assert last["step"] == STEPS
+    assert last["gaussians"] > 0
+    terms = {"l1", "ssim", "mask", "albedo", "normal_smoothness", "normal_prior", "response"}
+    assert terms <= set(last)
+    assert last["loss"] == pytest.approx(sum(last[name] for name in terms))
+    assert all(math.isfinite(value) for value in last.values())
+
+
+def test_results_score_the_test_frames_and_name_the_protocol(tiny_run):
+    results = json.loads((tiny_run / "results.json").read_text())
+    assert set(results["frames"]) == {"00004_00", "00005_00"}
+    for name in ("psnr", "ssim", "l1", "psnr_foreground"):
+        mean = sum(frame[name] for frame in results["frames"].values()) / 2
+        assert results[name] == pytest.approx(mean)
+    assert 10 < results["psnr"] < 40
+    assert results["lpips"] is not None or results["lpips_reason"]
+    assert results["protocol"]["size"] == [32, 32]
+    assert "dataset" in results["protocol"]["split"]
+    assert results["protocol"]["background"] == "white"
+
+
+def test_previews_show_five_panels(tiny_run):
+    image = OpenImageIO.ImageInput.open(str(tiny_run / "preview" / f"{STEPS:06d}.png"))
+    assert (image.spec().width, image.spec().height) == (5 * 32, 32)
+    image.close()
+
+
+def test_the_avatar_keeps_its_frames_fitted_where_it_trained(tiny_run, tiny_dataset):
+    from samira_warp.data import open_sequence
+
+    sequence = open_sequence(tiny_dataset)
+    tracked = {frame.name: frame.parameters for frame in sequence.frames}
+    frames = read_frames(tiny_run)
+    assert [frame.part for frame in frames] == ["test"] * 2 + ["train"] * 4
+    for frame in frames:
+        unchanged = torch.equal(frame.parameters.expression, tracked[frame.name].expression)
+        assert unchanged is (frame.part == "test"), frame.name
+
+
+def test_training_learns(tiny_run):
+    """What the last checkpoint holds differs from the first in every group that has a gradient by then."""
+    first, last = (load_file(tiny_run / "checkpoints" / f"step_{step:06d}" / "avatar.safetensors") for step in (3, 6))
+    for name in ("light.diffuse", "light.specular", "response_logits", "motion.residual.weight", "motion.gates"):
+        assert not torch.equal(first[name], last[name]), name
+
+
+def test_two_equal_runs_give_the_same_bits(tiny_run, tiny_dataset, tmp_path, capsys):
+    assert train_command(*train_arguments(tiny_dataset, tmp_path / "again")) == 0
+    assert same_bits(tiny_run, tmp_path / "again")
+    printed = capsys.readouterr().out.strip().splitlines()
+    assert json.loads(printed[-1])["psnr"] == json.loads((tiny_run / "results.json").read_text())["psnr"]
+
+
+def test_another_seed_gives_another_avatar(tiny_run, tiny_dataset, tmp_path):
+    assert train_command(*train_arguments(tiny_dataset, tmp_path / "other", "--seed", 7)) == 0
+    assert not same_bits(tiny_run, tmp_path / "other")
+
+
+def test_the_command_itself(tiny_dataset, tmp_path):
+    """A real process with the real preset: two steps, nothing but the result on standard output."""
+    options = ["--resolution", "24", "--gaussians", "100", "--max-steps", "2", "--encoder", "random", "--device", "cpu", "--split", "0.5"]
+    command = [sys.executable, "-m", "samira_warp.train", "--data", str(tiny_dataset), "--out", str(tmp_path / "run"), *options]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, env={**os.environ, "HF_HUB_OFFLINE": "1"}, check=False)
+    assert done.returncode == 0, done.stderr
+    assert json.loads(done.stdout)["psnr"] > 5
+    assert "Traceback" not in done.stderr
+    assert "3 training and 3 test frames" in done.stderr
+    assert json.loads((tmp_path / "run" / "avatar" / "avatar.json").read_text())["settings"]["uv_size"] == PRESETS["cpu"].uv_size
+
+
+def test_defaults_follow_the_machine(tmp_path):
+    resolved = resolve(TrainConfig(data=tmp_path / "ict_a"))
+    gpu = torch.cuda.is_available()
+    assert resolved.preset == ("paper" if gpu else "cpu")
+    assert str(resolved.out) == os.path.join("runs", "ict_a")
+    assert resolved.resolution == PRESETS[resolved.preset].resolution
+    assert resolved.gaussians == PRESETS[resolved.preset].gaussians
+
+
+def test_epochs_decide_the_steps_where_max_steps_does_not(tiny_dataset, tmp_path):
+    arguments = [word for word in train_arguments(tiny_dataset, tmp_path / "run") if word not in ("--max-steps", str(STEPS))]
+    assert train_command(*arguments, "--epochs", 1) == 0
+    assert json.loads((tmp_path / "run" / "config.json").read_text())["steps"] == 4

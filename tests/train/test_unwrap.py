@@ -1,0 +1,106 @@
+import torch
+from scipy.spatial import cKDTree
+from subjects import camera, small_canonical
+
+from samira_warp.head.geometry import vertex_normals
+from samira_warp.train.unwrap import GRAZING_COSINE, View, unwrap
+
+SIZE = 128
+
+
+def view_of(canonical, image, *, mask=None):
+    view = camera(SIZE)
+    if mask is None:
+        mask = torch.ones(SIZE, SIZE)
+    return View(image, mask, canonical.model.rest(), view)
+
+
+def projected(canonical):
+    """Pixel coordinates (h, w, 2) and the cosine (h, w) at which the camera sees each texel of the reference mesh."""
+    view = camera(SIZE)
+    points = canonical.positions
+    normals = torch.nn.functional.normalize(
+        canonical.atlas.positions(vertex_normals(canonical.vertices, canonical.topology.faces)), dim=-1
+    )
+    in_camera = points @ view.world_to_camera[:3, :3].T + view.world_to_camera[:3, 3]
+    pixels = in_camera[..., :2] / in_camera[..., 2:] * view.fx + torch.tensor([view.cx, view.cy])
+    return pixels, (normals * torch.nn.functional.normalize(view.center - points, dim=-1)).sum(-1)
+
+
+def coordinates():
+    """An image whose colour is its own pixel coordinates, which bilinear sampling returns exactly."""
+    y, x = torch.meshgrid(torch.arange(SIZE) + 0.5, torch.arange(SIZE) + 0.5, indexing="ij")
+    return torch.stack([x, y, torch.zeros_like(x)], dim=-1) / SIZE
+
+
+def eyeballs(canonical):
+    """(h, w) bool: texels of the eyeballs, which lie under the surface."""
+    hidden = torch.zeros(len(canonical.vertices), dtype=torch.bool)
+    for name in ("left_eyeball", "right_eyeball"):
+        hidden[torch.from_numpy(canonical.template.masks[name]).long()] = True
+    return hidden[canonical.topology.faces.long()].all(1)[canonical.atlas.face.clamp(min=0).long()] & canonical.atlas.covered
+
+
+def test_visible_texels_read_the_pixel_that_they_project_to():
+    canonical = small_canonical()
+    texture = unwrap([view_of(canonical, coordinates())], canonical)
+    pixels, cosine = projected(canonical)
+    sure = canonical.atlas.covered & (cosine > 2 * GRAZING_COSINE) & ~eyeballs(canonical)
+    assert sure.sum() > 100
+    torch.testing.assert_close(texture[sure][:, :2], pixels[sure] / SIZE, atol=1e-4, rtol=0)
+
+
+def test_what_no_view_sees_takes_its_mirror_images_value():
+    """Only the right half of the picture is uncovered: the left half is filled in from it."""
+    canonical = small_canonical()
+    mask = torch.zeros(SIZE, SIZE)
+    mask[:, SIZE // 2 :] = 1.0
+    texture = unwrap([view_of(canonical, coordinates(), mask=mask)], canonical)
+    pixels, cosine = projected(canonical)
+    front = canonical.atlas.covered & (cosine > 2 * GRAZING_COSINE) & ~eyeballs(canonical)
+    known = front & (pixels[..., 0] > SIZE / 2 + 2)
+    missing = front & (pixels[..., 0] < SIZE / 2 - 2)
+    assert known.sum() > 30
+    assert missing.sum() > 30
+    assert texture[missing][:, 0].min() > 0.5
+    # the sphere is symmetric, so the mirrored texel's pixel is the picture mirrored, to the spacing of known texels
+    mirrored = torch.stack([SIZE - pixels[..., 0], pixels[..., 1]], dim=-1)[missing] / SIZE
+    spacing = torch.from_numpy(cKDTree(pixels[known].numpy()).query(pixels[known].numpy(), k=2)[0][:, 1]).max() / SIZE
+    assert (texture[missing][:, :2] - mirrored).norm(dim=1).max() < 2 * spacing
+
+
+def test_hidden_surfaces_read_nothing_of_their_own():
+    """Eyeballs lie beneath the surface in front of them: they take the colour of what is seen, not the pixel before them."""
+    canonical = small_canonical()
+    image = torch.zeros(SIZE, SIZE, 3)
+    seen = unwrap([view_of(canonical, image)], canonical)
+    assert (seen == 0).all()
+    view = view_of(canonical, coordinates())
+    alone = unwrap([view], canonical)[eyeballs(canonical)]
+    assert alone.isfinite().all()
+    assert (alone.amax(1) > 0).all()
+
+
+def test_texels_outside_the_atlas_take_the_mean_of_what_was_seen():
+    canonical = small_canonical()
+    texture = unwrap([view_of(canonical, torch.full((SIZE, SIZE, 3), 0.25))], canonical)
+    torch.testing.assert_close(texture, torch.full_like(texture, 0.25))
+    bright = unwrap([view_of(canonical, coordinates())], canonical)
+    outside = bright[~canonical.atlas.valid]
+    assert (outside == outside[0]).all()
+    pixels, _ = projected(canonical)
+    # the head is about the picture's centre
+    assert (outside[0, :2] - 0.5).abs().max() < 0.15
+
+
+def test_if_nothing_is_seen_everything_is_grey():
+    canonical = small_canonical()
+    texture = unwrap([view_of(canonical, coordinates(), mask=torch.zeros(SIZE, SIZE))], canonical)
+    assert (texture == 0.5).all()
+
+
+def test_views_are_averaged():
+    canonical = small_canonical()
+    dark, bright = (view_of(canonical, torch.full((SIZE, SIZE, 3), value)) for value in (0.2, 0.6))
+    texture = unwrap([dark, bright], canonical)
+    torch.testing.assert_close(texture, torch.full_like(texture, 0.4))
