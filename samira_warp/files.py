@@ -9,6 +9,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import save_file
+
 from samira_warp.errors import UserError
 
 
@@ -16,11 +20,15 @@ def replace_folder(target: Path, write: Callable[[Path], None]) -> None:
     """Let ``write`` fill a new folder and put it in the place of ``target``.
 
     The new folder is written beside the target under a hidden name, flushed to the disk and renamed. Whatever happens before the rename
-    (a full disk, an interrupt) leaves the target as it was, and removes what was written.
+    (a full disk, an interrupt) leaves the target as it was, and removes what was written. What a killed process left is removed as well.
     """
     target.parent.mkdir(parents=True, exist_ok=True)
-    fresh, stale = (target.parent / f".{target.name}.{word}-{os.getpid()}" for word in ("new", "old"))
+    fresh, stale = (target.parent / f".{target.name}.{word}" for word in ("new", "old"))
     try:
+        if stale.exists() and not target.exists():
+            stale.rename(target)
+        for folder in (fresh, stale):
+            shutil.rmtree(folder, ignore_errors=True)
         fresh.mkdir()
         write(fresh)
         for path in sorted(fresh.rglob("*")):
@@ -40,13 +48,25 @@ def replace_folder(target: Path, write: Callable[[Path], None]) -> None:
 
 def replace_file(target: Path, text: str) -> None:
     """Write a text file under a hidden name, flush it and rename it to ``target``."""
-    fresh = target.parent / f".{target.name}.new-{os.getpid()}"
+    fresh = target.parent / f".{target.name}.new"
     try:
         fresh.write_text(text, encoding="utf-8")
         _flush(fresh)
         fresh.replace(target)
     finally:
         fresh.unlink(missing_ok=True)
+
+
+def save_tensors(tensors: dict[str, torch.Tensor], path: Path, *, metadata: dict[str, str] | None = None) -> None:
+    """Write tensors by name as a safetensors file.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+    try:
+        save_file({name: value.detach().contiguous() for name, value in tensors.items()}, path, metadata=metadata)
+    except SafetensorError as error:
+        raise OSError(f"{path}: cannot be written: {error}") from error
 
 
 def read_json(path: Path) -> dict[str, Any]:

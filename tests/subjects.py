@@ -43,9 +43,8 @@ def small_preset():
 
 def train_arguments(data, out, *more):
     """Options of a run of STEPS steps with a checkpoint in its middle."""
-    return ["--data", str(data), "--out", str(out), "--preset", "cpu", "--device", "cpu", "--encoder", "random"] + (
-        ["--max-steps", str(STEPS), "--checkpoint-every", "3", "--preview-every", "3", *map(str, more)]
-    )
+    sizes = ["--max-steps", str(STEPS), "--checkpoint-every", "3", "--preview-every", "3"]
+    return ["--data", str(data), "--out", str(out), "--preset", "cpu", "--device", "cpu", "--encoder", "random", *sizes, *map(str, more)]
 
 
 def train_command(*arguments):

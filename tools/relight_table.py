@@ -98,7 +98,9 @@ def read_lights(data: Path) -> Iterator[Light]:
 def pairs(sequence: Sequence, light: Light, predict: AvatarPrediction | OraclePrediction, *, resolution: int) -> Iterator[ImagePair]:
     """Prediction and truth of each test frame that the light's folder has; the capture light shows every tenth."""
     shown = [sequence.frames[index] for index in sequence.test if (light.truth / f"{sequence.frames[index].name}.png").is_file()]
-    for frame in shown[4::10] if light.name == "capture" else shown:
+    if not shown:
+        raise UserError(light.truth, expected="pictures named as the dataset's test frames", found="none")
+    for frame in shown[min(4, len(shown) - 1) :: 10] if light.name == "capture" else shown:
         mask = at_size(read_image(frame.mask_path, channels=1), resolution)[..., 0]
         truth = at_size(read_image(light.truth / f"{frame.name}.png", channels=3), resolution)
         image = predict(frame, frame.camera.resized(width=resolution, height=resolution), mask)

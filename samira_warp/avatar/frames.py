@@ -7,11 +7,11 @@ from typing import Any, NamedTuple
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
 
 from samira_warp.avatar.storage import find_avatar
 from samira_warp.camera import Camera
 from samira_warp.errors import UserError
+from samira_warp.files import save_tensors
 from samira_warp.head import FrameParameters
 
 FRAMES_FILE = "frames.safetensors"
@@ -44,7 +44,7 @@ def write_frames(folder: Path, frames: list[DrivingFrame]) -> None:
     intrinsics = [[camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height] for camera in cameras]
     tensors["intrinsics"] = torch.tensor(intrinsics, dtype=torch.float64)
     names = {"names": "\n".join(frame.name for frame in frames), "parts": "\n".join(frame.part for frame in frames)}
-    save_file({name: value.contiguous() for name, value in tensors.items()}, folder / FRAMES_FILE, metadata=names)
+    save_tensors(tensors, folder / FRAMES_FILE, metadata=names)
 
 
 def read_frames(folder: str | Path) -> list[DrivingFrame]:

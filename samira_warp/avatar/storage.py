@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 
 import torch
 from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file
 
 from samira_warp.errors import UserError
-from samira_warp.files import read_json
+from samira_warp.files import read_json, save_tensors
 from samira_warp.head import HeadTemplate, read_template, save_template
 
 FORMAT = 1
@@ -51,7 +51,7 @@ def write_avatar(folder: Path, *, settings: Any, record: dict[str, Any], tensors
     """
     description = {"format": FORMAT, "settings": asdict(settings), "record": {**record, "template": template.hash}}
     (folder / DESCRIPTION_FILE).write_text(json.dumps(description, indent=1), encoding="utf-8")
-    save_file({name: value.detach().contiguous() for name, value in tensors.items()}, folder / TENSORS_FILE)
+    save_tensors(tensors, folder / TENSORS_FILE)
     save_template(template, folder / TEMPLATE_FILE)
 
 

@@ -1,1 +1,1 @@
-"""Every kernel again in plain torch, differentiable by autograd and able to run in float64: the specification that tests hold kernels to."""
+"""Every kernel again in plain torch, differentiable and float64-capable: the specification that tests hold the kernels to."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import replace
@@ -35,6 +36,7 @@ def render(config: RenderConfig) -> int:
     Raises:
         UserError: The avatar, the sequence, the light or an option cannot be used.
     """
+    _check_numbers(config)
     device = _device(config.device)
     folder = find_avatar(config.avatar)
     avatar = Avatar.load(folder, device=device)
@@ -58,6 +60,18 @@ def render(config: RenderConfig) -> int:
                 if layer in videos:
                     videos[layer].add(picture)
     return len(frames)
+
+
+def _check_numbers(config: RenderConfig) -> None:
+    ranges = {
+        "exposure": (0.0 < config.exposure < math.inf, "a positive factor"),
+        "rotate": (math.isfinite(config.rotate), "degrees"),
+        "resolution": (config.resolution is None or config.resolution > 0, "a positive number of pixels"),
+        "fps": (0.0 < config.fps < math.inf, "a positive number of frames"),
+    }
+    for name, (holds, expected) in ranges.items():
+        if not holds:
+            raise UserError(f"--{name}", expected=expected, found=getattr(config, name))
 
 
 def _device(name: str) -> torch.device:
@@ -104,8 +118,6 @@ def _at_size(camera: Camera, longer: int) -> Camera:
 
 
 def _environment(config: RenderConfig, avatar: Avatar) -> Environment:
-    if config.exposure <= 0.0:
-        raise UserError("--exposure", expected="a positive factor", found=config.exposure)
     if config.env is not None:
         return Environment.load(config.env, rotate=config.rotate, exposure=config.exposure)
     learned = avatar.light.environment()

@@ -9,11 +9,11 @@ from typing import NamedTuple
 
 import torch
 from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file
 
 from samira_warp.avatar import Avatar
 from samira_warp.errors import UserError
-from samira_warp.files import read_json, replace_folder
+from samira_warp.files import read_json, replace_folder, save_tensors
 from samira_warp.train.density import DensityStatistics
 from samira_warp.train.tracking import TrackedParameters
 
@@ -48,7 +48,7 @@ def save_checkpoint(folder: Path, state: TrainingState, *, record: dict) -> Path
 
     def write(fresh: Path) -> None:
         state.avatar.save(fresh, record=record)
-        save_file(_training_tensors(state), fresh / TRAINING_FILE)
+        save_tensors(_training_tensors(state), fresh / TRAINING_FILE)
         (fresh / STEP_FILE).write_text(json.dumps({"step": state.step}), encoding="utf-8")
 
     replace_folder(target, write)

@@ -31,6 +31,7 @@ class RunLog:
         self._bar = tqdm(total=steps, initial=start, unit="step", dynamic_ncols=True)
         self._sums: dict[str, torch.Tensor] = {}
         self._count = 0
+        self._last = steps
 
     def __enter__(self) -> RunLog:
         return self
@@ -40,7 +41,7 @@ class RunLog:
         self._board.close()
 
     def add(self, step: int, terms: dict[str, torch.Tensor], *, gaussians: int) -> None:
-        """Add one step's detached scalars; every LOG_EVERY steps their means are written.
+        """Add one step's detached scalars; every LOG_EVERY steps, and at the last one, their means are written.
 
         Args:
             step: Number of steps done.
@@ -51,7 +52,7 @@ class RunLog:
             self._sums[name] = self._sums[name] + value if name in self._sums else value
         self._count += 1
         self._bar.update()
-        if step % LOG_EVERY == 0:
+        if step % LOG_EVERY == 0 or step == self._last:
             self._write(step, gaussians)
 
     def preview(self, step: int, rendering: Rendering, truth: torch.Tensor) -> None:

@@ -58,8 +58,8 @@ def resolve(config: TrainConfig) -> TrainConfig:
         device=device,
         preset=preset,
         out=config.out or Path("runs") / config.data.resolve().name,
-        resolution=config.resolution or sizes.resolution,
-        gaussians=config.gaussians or sizes.gaussians,
+        resolution=sizes.resolution if config.resolution is None else config.resolution,
+        gaussians=sizes.gaussians if config.gaussians is None else config.gaussians,
     )
     for name in ("epochs", "max_steps", "resolution", "gaussians", "checkpoint_every", "preview_every"):
         value = getattr(config, name)

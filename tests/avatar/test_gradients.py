@@ -21,7 +21,9 @@ def smooth_state(moved):
 def motion_loss(avatar, frame, generator):
     """A random linear function of where the Gaussians are: no pixel, no threshold."""
     with torch.no_grad():
-        weights = [torch.randn(value.shape, generator=generator, dtype=torch.float64) for value in smooth_state(avatar.move(frame).gaussians)]
+        weights = [
+            torch.randn(value.shape, generator=generator, dtype=torch.float64) for value in smooth_state(avatar.move(frame).gaussians)
+        ]
 
     def loss(driven):
         return sum((w * value.double()).sum() for w, value in zip(weights, smooth_state(avatar.move(driven).gaussians), strict=True))

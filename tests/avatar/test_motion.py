@@ -61,9 +61,7 @@ def test_final_motion_equals_an_independent_one_in_float64(device):
     turn = Rotation.from_rotvec(torch.pi * torch.tanh(sampled[:, 3:]).numpy())
     expected = torch.from_numpy(turn.as_matrix()) @ matrices(bound.quaternions)
     # positions of 0.1 m in float32 by some 10 roundings of 2^-24 of them; rotations of numbers up to 1, with angles up to pi
-    torch.testing.assert_close(
-        motion.gaussians.means.double().cpu(), bound.means + 0.02 * torch.tanh(sampled[:, :3]), atol=2e-7, rtol=0
-    )
+    torch.testing.assert_close(motion.gaussians.means.double().cpu(), bound.means + 0.02 * torch.tanh(sampled[:, :3]), atol=2e-7, rtol=0)
     torch.testing.assert_close(matrices(motion.gaussians.quaternions), expected, atol=1e-5, rtol=0)
     torch.testing.assert_close(motion.gaussians.normals.double().cpu(), bound.normals, atol=2e-6, rtol=0)
     torch.testing.assert_close(motion.gaussians.scales.double().cpu(), bound.scales, atol=0, rtol=2e-6)
@@ -112,7 +110,9 @@ def test_turning_the_neck_displaces_only_what_is_not_on_the_head(device):
     avatar = small_avatar(device=device)
     canonical = avatar.canonical
     displacement = canonical.displacement(canonical.pose(turned(avatar)), in_head=True)
-    on_root = torch.from_numpy(canonical.template.weights[:, 0] > 0)[torch.from_numpy(canonical.template.faces).long()].any(dim=1).to(device)
+    on_root = (
+        torch.from_numpy(canonical.template.weights[:, 0] > 0)[torch.from_numpy(canonical.template.faces).long()].any(dim=1).to(device)
+    )
     covered = canonical.atlas.covered
     of_root = on_root[canonical.atlas.face.clamp(min=0).long()] & covered
     assert displacement[covered & ~of_root].abs().max() < 1e-7

@@ -140,7 +140,10 @@ def test_tensors_of_another_avatar_are_refused(copy, tmp_path):
 
 def test_frames_come_back(tmp_path, saved):
     folder = shutil.copytree(saved[1], tmp_path / "avatar")
-    frames = [DrivingFrame(f"{index:05d}_00", parameters(index), camera(48, height=32), part) for index, part in enumerate(["test", "train", "train"])]
+    frames = [
+        DrivingFrame(f"{index:05d}_00", parameters(index), camera(48, height=32), part)
+        for index, part in enumerate(["test", "train", "train"])
+    ]
     write_frames(folder, frames)
     found = read_frames(folder)
     assert [(frame.name, frame.part) for frame in found] == [("00000_00", "test"), ("00001_00", "train"), ("00002_00", "train")]

@@ -143,7 +143,9 @@ def test_faint_ones_go_but_each_face_keeps_its_most_opaque(gaussians):
     change = control(gaussians, statistics_of(COUNT, torch.tensor([], dtype=torch.long), device))
     faces = gaussians.faces.cpu()
     opacities = gaussians.opacities.detach().cpu()
-    expected = {max((index for index in range(COUNT) if faces[index] == face), key=lambda index: opacities[index]) for face in faces.unique()}
+    expected = {
+        max((index for index in range(COUNT) if faces[index] == face), key=lambda index: opacities[index]) for face in faces.unique()
+    }
     expected |= set(range(10))
     assert len(expected) < COUNT
     assert set(change.kept.tolist()) == expected
@@ -181,7 +183,9 @@ def test_the_threshold_is_on_the_mean_over_the_frames_that_saw_it(device):
 def test_the_same_seed_gives_the_same_children(gaussians):
     device = gaussians.means.device
     sized(gaussians, 1e3, slice(None))
-    first, second, other = (control(gaussians, statistics_of(COUNT, torch.arange(40, device=device), device), seed=seed) for seed in (1, 1, 2))
+    first, second, other = (
+        control(gaussians, statistics_of(COUNT, torch.arange(40, device=device), device), seed=seed) for seed in (1, 1, 2)
+    )
     assert torch.equal(first.gaussians.means, second.gaussians.means)
     assert not torch.equal(first.gaussians.means, other.gaussians.means)
 

@@ -118,7 +118,10 @@ def test_the_reference_is_the_frontal_neutral_frame(sequence):
     rest = canonical.model.rest()
     turned = {index: replace(rest, rotation=torch.tensor([0.0, 0.5, 0.0])) for index in range(6)}
     for index in sequence.train:
-        assert choose_reference(with_frames(sequence, {**turned, index: rest}), canonical, ConditionStatistics.of([conditions_of(rest)])) == index
+        assert (
+            choose_reference(with_frames(sequence, {**turned, index: rest}), canonical, ConditionStatistics.of([conditions_of(rest)]))
+            == index
+        )
 
 
 def test_the_reference_has_the_mean_expression_among_frontal_frames(sequence):
@@ -134,7 +137,7 @@ def test_test_frames_are_neither_reference_nor_in_the_statistics(sequence):
     canonical = small_canonical()
     rest = canonical.model.rest()
     away = {index: parameters(index) for index in sequence.train}
-    changed = with_frames(sequence, {**away, **{index: rest for index in sequence.test}})
+    changed = with_frames(sequence, {**away, **dict.fromkeys(sequence.test, rest)})
     assert choose_reference(changed, canonical, condition_statistics(changed)) in sequence.train
     wild = with_frames(sequence, {index: replace(rest, expression=rest.expression + 99) for index in sequence.test})
     before, after = condition_statistics(sequence).state_dict(), condition_statistics(wild).state_dict()

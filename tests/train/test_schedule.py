@@ -1,3 +1,4 @@
+import itertools
 import math
 
 import pytest
@@ -29,7 +30,7 @@ def test_warm_up_rises_linearly_over_two_per_cent():
 
 def test_rates_fall_after_the_warm_up():
     rates = [learning_rate("means", step=step, steps=1_000) for step in range(20, 1_001)]
-    assert all(later < earlier for earlier, later in zip(rates, rates[1:], strict=False))
+    assert all(later < earlier for earlier, later in itertools.pairwise(rates))
 
 
 def test_between_short_and_long_runs_rates_are_log_interpolated():

@@ -1,0 +1,91 @@
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import torch
+from plyfile import PlyData
+from subjects import TESTS
+
+from samira_warp import Avatar
+from samira_warp.avatar import read_frames
+from samira_warp.light import encode_srgb
+
+TOOL = TESTS.parent / "tools" / "export_ply.py"
+
+STANDARD = ["x", "y", "z", "nx", "ny", "nz", *(f"f_dc_{i}" for i in range(3)), *(f"f_rest_{i}" for i in range(45))]
+STANDARD += ["opacity", *(f"scale_{i}" for i in range(3)), *(f"rot_{i}" for i in range(4))]
+
+
+@pytest.fixture(scope="module")
+def tool():
+    """The tool's module: run once as a process, and from then on in this one."""
+    import importlib.util
+
+    spec = importlib.util.spec_from_file_location("export_ply", TOOL)
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["export_ply"] = module
+    spec.loader.exec_module(module)
+    return module
+
+
+def export(tool, *arguments):
+    return tool.run(tool.main, tool.ExportConfig, program="export_ply", arguments=[*map(str, arguments)])
+
+
+def columns(vertex, *names):
+    return np.stack([vertex[name] for name in names], axis=1)
+
+
+def test_the_tool_itself_writes_the_standard_columns_in_order(tiny_run, tmp_path):
+    path = tmp_path / "avatar.ply"
+    command = [sys.executable, str(TOOL), "--avatar", str(tiny_run), "--out", str(path)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 0, done.stderr
+    vertex = PlyData.read(str(path))["vertex"]
+    assert len(STANDARD) == 62
+    assert [column.name for column in vertex.properties] == STANDARD
+    assert all(column.val_dtype == "f4" for column in vertex.properties)
+    assert vertex.count == len(Avatar.load(tiny_run).gaussians)
+    assert path.read_bytes().startswith(b"ply\nformat binary_little_endian 1.0\nelement vertex ")
+
+
+@pytest.mark.parametrize("frame", [0, 3])
+def test_values_decode_to_the_moved_gaussians(tiny_run, tool, tmp_path, frame):
+    path = tmp_path / "avatar.ply"
+    assert export(tool, "--avatar", tiny_run, "--frame", frame, "--out", path) == 0
+    vertex = PlyData.read(str(path))["vertex"]
+    avatar = Avatar.load(tiny_run)
+    with torch.no_grad():
+        moved = avatar.move(read_frames(tiny_run)[frame].parameters).gaussians
+        opacities, albedo = avatar.gaussians.opacities, encode_srgb(avatar.gaussians.albedo)
+    np.testing.assert_array_equal(columns(vertex, "x", "y", "z"), moved.means.numpy())
+    np.testing.assert_array_equal(columns(vertex, "nx", "ny", "nz"), moved.normals.numpy())
+    np.testing.assert_array_equal(columns(vertex, *(f"rot_{i}" for i in range(4))), moved.quaternions.numpy())
+    # what a viewer does: exp, sigmoid, and 0.5 + Y_00 f_dc
+    np.testing.assert_allclose(np.exp(columns(vertex, "scale_0", "scale_1", "scale_2")), moved.scales.numpy(), rtol=1e-5)
+    np.testing.assert_allclose(1 / (1 + np.exp(-vertex["opacity"])), opacities.numpy(), rtol=1e-5)
+    shown = 0.5 + np.sqrt(1 / (4 * np.pi)) * columns(vertex, "f_dc_0", "f_dc_1", "f_dc_2")
+    np.testing.assert_allclose(shown, albedo.numpy(), atol=1e-6)
+    assert not columns(vertex, *(f"f_rest_{i}" for i in range(45))).any()
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        (["--frame", "6"], "0 to 5"),
+        (["--frame=-1"], "0 to 5"),
+        (["--out", "avatar.txt"], ".ply"),
+        (["--out", "nowhere/avatar.ply"], "nowhere"),
+        (["--avatar", "nowhere"], "nowhere"),
+    ],
+)
+def test_mistakes(tiny_run, tool, tmp_path, capsys, monkeypatch, options, named):
+    monkeypatch.chdir(tmp_path)
+    capsys.readouterr()
+    arguments = ["--avatar", tiny_run] * ("--avatar" not in options) + ["--out", "a.ply"] * ("--out" not in options)
+    assert export(tool, *arguments, *options) == 2
+    message = capsys.readouterr().err.strip().splitlines()
+    assert len(message) == 1
+    assert named in message[0]
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,66 @@
+import pytest
+import torch
+from subjects import parameters, small_avatar
+
+from samira_warp import Avatar, UserError
+from samira_warp.train.checkpoint import KEPT, TrainingState, last_checkpoint, load_training, save_checkpoint
+from samira_warp.train.density import DensityStatistics
+from samira_warp.train.optimizer import make_optimizer, set_rates
+from samira_warp.train.tracking import TrackedParameters
+
+
+def tracked_frames():
+    return TrackedParameters([parameters(seed) for seed in range(3)])
+
+
+@pytest.fixture
+def state():
+    """A state in which nothing is as it starts: two steps with random gradients, and gathered statistics."""
+    torch.manual_seed(0)
+    avatar, tracked = small_avatar(perturb=0.1), tracked_frames()
+    optimizer = make_optimizer(avatar, tracked)
+    set_rates(optimizer, step=5, steps=10)
+    avatar.gaussians.normals.requires_grad_(False)  # as in stage one: no moments yet
+    for _ in range(2):
+        for parameter in [*avatar.parameters(), *tracked.parameters()]:
+            parameter.grad = torch.randn_like(parameter) if parameter.requires_grad else None
+        optimizer.step()
+    density = DensityStatistics(len(avatar.gaussians), torch.device("cpu"))
+    density.gradient.uniform_()
+    density.views.random_(1, 9)
+    return TrainingState(7, avatar, tracked, optimizer, density)
+
+
+def test_everything_that_changes_comes_back(state, tmp_path):
+    path = save_checkpoint(tmp_path, state, record={"subject": "tiny"})
+    assert path == last_checkpoint(tmp_path) == tmp_path / "step_000007"
+    avatar, tracked = Avatar.load(path), tracked_frames()
+    optimizer = make_optimizer(avatar, tracked)
+    density = DensityStatistics(len(avatar.gaussians), torch.device("cpu"))
+    assert load_training(path, optimizer, tracked, density) == 7
+    assert torch.equal(density.gradient, state.density.gradient)
+    assert torch.equal(density.views, state.density.views)
+    for before, after in ((state.avatar, avatar), (state.tracked, tracked)):
+        assert all(torch.equal(value, after.state_dict()[name]) for name, value in before.state_dict().items())
+    for before, after in zip(state.optimizer.param_groups, optimizer.param_groups, strict=True):
+        for old, new in zip(before["params"], after["params"], strict=True):
+            moments = state.optimizer.state.get(old, {})
+            assert set(moments) == set(optimizer.state.get(new, {})), before["name"]
+            assert all(torch.equal(value, optimizer.state[new][key]) for key, value in moments.items()), before["name"]
+            assert bool(moments) is (before["name"] != "normals")
+
+
+def test_only_the_newest_checkpoints_are_kept(state, tmp_path):
+    for step in (2, 9, 10, 100):
+        save_checkpoint(tmp_path, state._replace(step=step), record={})
+    assert KEPT == 2
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["step_000010", "step_000100"]
+
+
+def test_a_folder_without_a_whole_checkpoint_is_named(state, tmp_path):
+    with pytest.raises(UserError, match="checkpoint"):
+        last_checkpoint(tmp_path)
+    path = save_checkpoint(tmp_path, state, record={})
+    (path / "training.json").unlink()
+    with pytest.raises(UserError, match=str(tmp_path)):
+        last_checkpoint(tmp_path)

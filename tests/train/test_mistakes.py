@@ -1,0 +1,201 @@
+"""What a user can get wrong: exit status 2 and one line that names it, before the run folder is touched."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import torch
+from subjects import STEPS, train_arguments, train_command
+
+from samira_warp import Avatar
+from samira_warp.images import read_image, write_png
+
+
+@pytest.fixture
+def dataset(tiny_dataset, tmp_path):
+    return shutil.copytree(tiny_dataset, tmp_path / "subject")
+
+
+def change_json(path, change):
+    document = json.loads(path.read_text())
+    change(document)
+    path.write_text(json.dumps(document))
+
+
+def change_arrays(path, **changes):
+    with np.load(path) as archive:
+        arrays = dict(archive)
+    for key, change in changes.items():
+        if change is None:
+            del arrays[key]
+        else:
+            arrays[key] = change(arrays[key])
+    np.savez(path, **arrays)
+
+
+def cut(path, *, end=6):
+    """Take an image's end away: six bytes are half of the last chunk, which a look at the header does not see."""
+    path.write_bytes(path.read_bytes()[:-end])
+
+
+def widen(path):
+    write_png(path, np.repeat(read_image(path, channels=3), 2, axis=1))
+
+
+def with_nan(array):
+    array = array.copy()
+    array.flat[0] = np.nan
+    return array
+
+
+TRAIN, FIRST = "transforms_train.json", "flame_param/00000.npz"
+DAMAGES = {
+    "no canonical parameters": ("canonical_flame_param.npz", os.unlink, "no such file"),
+    "no list of frames": (TRAIN, os.unlink, "no such file"),
+    "a list that is no JSON": (TRAIN, lambda path: path.write_text("{"), "JSON"),
+    "an empty split": (TRAIN, lambda path: change_json(path, lambda d: d["frames"].clear()), "at least one frame"),
+    "no key for the image": (TRAIN, lambda path: change_json(path, lambda d: d["frames"][1].pop("file_path")), "file_path"),
+    "no key for the camera": (TRAIN, lambda path: change_json(path, lambda d: d["frames"][0].pop("transform_matrix")), "transform_matrix"),
+    "no image": ("images/00001_00.png", os.unlink, "no such file"),
+    "no mask": ("fg_masks/00001_00.png", os.unlink, "no such file"),
+    "an image of another size": ("images/00002_00.png", widen, "64 x 32"),
+    "an albedo of another size": ("albedo/00002_00.png", widen, "64 x 32"),
+    "an image that is none": ("images/00002_00.png", lambda path: path.write_text("hello"), "PNG"),
+    "an image cut off in its pixels": ("images/00002_00.png", lambda path: cut(path, end=40), "whole PNG"),
+    "no parameters": (FIRST, os.unlink, "no such file"),
+    "no expression": (FIRST, lambda path: change_arrays(path, expr=None), "expr"),
+    "too short an expression": (FIRST, lambda path: change_arrays(path, expr=lambda a: a[:, :-1]), "(1, 4)"),
+    "NaN in the parameters": (FIRST, lambda path: change_arrays(path, jaw_pose=with_nan), "finite"),
+    "parameters that are no archive": (FIRST, lambda path: path.write_bytes(b"zip?"), "npz"),
+    "another identity": (FIRST, lambda path: change_arrays(path, shape=lambda a: a + 1), "identity"),
+    "a template without weights": ("template.npz", lambda path: change_arrays(path, weights=None), "weights"),
+    "a template with NaN": ("template.npz", lambda path: change_arrays(path, v_template=with_nan), "finite"),
+    "no template": ("template.npz", os.unlink, "--flame"),
+}
+
+
+def refused(capsys, *arguments):
+    capsys.readouterr()
+    assert train_command(*arguments) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    message = captured.err.strip().splitlines()
+    assert len(message) == 1, message
+    assert message[0].startswith("error: ")
+    return message[0]
+
+
+@pytest.mark.parametrize("name", DAMAGES)
+def test_a_broken_dataset_is_refused_before_anything_is_written(dataset, tmp_path, capsys, name):
+    file, damage, fragment = DAMAGES[name]
+    damage(dataset / file)
+    message = refused(capsys, *train_arguments(dataset, tmp_path / "run"))
+    assert str(dataset / file) in message
+    assert fragment in message
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [
+        ("--split", "0"),
+        ("--split", "1.5"),
+        ("--split", "last:0"),
+        ("--split", "last:6"),
+        ("--split", "half"),
+        ("--max-steps", "0"),
+        ("--epochs", "0"),
+        ("--resolution", "0"),
+        ("--resolution", "-4"),
+        ("--gaussians", "0"),
+        ("--checkpoint-every", "0"),
+        ("--preview-every", "-1"),
+    ],
+)
+def test_options_out_of_range(tiny_dataset, tmp_path, capsys, option, value):
+    message = refused(capsys, *train_arguments(tiny_dataset, tmp_path / "run"), f"{option}={value}")
+    assert option in message
+    assert not (tmp_path / "run").exists()
+
+
+def test_no_gpu(tiny_dataset, tmp_path, capsys):
+    if torch.cuda.is_available():
+        pytest.skip("there is a CUDA device on this machine")
+    assert "CUDA" in refused(capsys, *train_arguments(tiny_dataset, tmp_path / "run"), "--device", "cuda")
+
+
+def test_a_missing_head_model_is_named(dataset, tmp_path, capsys):
+    (dataset / "template.npz").unlink()
+    message = refused(capsys, *train_arguments(dataset, tmp_path / "run"), "--flame", tmp_path / "flame2023.npz")
+    assert str(tmp_path / "flame2023.npz") in message
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_head_model_may_come_from_elsewhere(dataset, tmp_path):
+    (dataset / "template.npz").rename(tmp_path / "flame.npz")
+    arguments = train_arguments(dataset, tmp_path / "run", "--flame", tmp_path / "flame.npz")
+    arguments[arguments.index(str(STEPS))] = "1"
+    assert train_command(*arguments) == 0
+
+
+def test_a_run_folder_that_is_a_file(tiny_dataset, tmp_path, capsys):
+    (tmp_path / "run").write_text("mine")
+    capsys.readouterr()
+    assert train_command(*train_arguments(tiny_dataset, tmp_path / "run")) == 2
+    message = capsys.readouterr().err.strip().splitlines()
+    assert len(message) == 1
+    assert str(tmp_path / "run") in message[0]
+    assert (tmp_path / "run").read_text() == "mine"
+
+
+def test_the_process_itself_says_one_line(tmp_path):
+    command = [sys.executable, "-m", "samira_warp.train", "--data", str(tmp_path / "nowhere"), "--out", str(tmp_path / "run")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert str(tmp_path / "nowhere") in done.stderr
+    assert not (tmp_path / "run").exists()
+
+
+def late_frame():
+    """A training frame that is neither the reference nor among the first three steps' frames."""
+    order = torch.randperm(4, generator=torch.Generator().manual_seed(42 * 1_000_003)).tolist()
+    return order[3], order[2]
+
+
+def test_a_broken_image_in_the_stream_ends_the_run_with_the_last_checkpoint_whole(dataset, tiny_run, tmp_path, capsys):
+    reference = json.loads((tiny_run / "config.json").read_text())["reference_frame"]
+    last, before = (f"{index:05d}_00" for index in late_frame())
+    name = before if last == reference else last
+    # without an albedo of its own the frame is not decoded before its step
+    (dataset / "albedo" / f"{name}.png").unlink()
+    path = dataset / "images" / f"{name}.png"
+    whole = path.read_bytes()
+    cut(path)
+    arguments = train_arguments(dataset, tmp_path / "run", "--checkpoint-every", 1)
+    capsys.readouterr()
+    assert train_command(*arguments) == 2
+    message = capsys.readouterr().err
+    assert "Traceback" not in message
+    errors = [line for line in message.splitlines() if line.startswith("error: ")]
+    assert errors == [message.strip().splitlines()[-1]]
+    assert str(path) in errors[0]
+    done = 2 if name == before else 3
+    kept = sorted(folder.name for folder in (tmp_path / "run" / "checkpoints").iterdir())
+    assert kept[-1] == f"step_{done:06d}"
+    Avatar.load(tmp_path / "run" / "checkpoints" / kept[-1])
+    assert not (tmp_path / "run" / "avatar").exists()
+    path.write_bytes(whole)
+    assert train_command(*arguments, "--resume") == 0
+
+
+def test_a_broken_test_image_is_named_and_the_avatar_is_kept(dataset, tmp_path, capsys):
+    cut(dataset / "images" / "00005_00.png")
+    assert train_command(*train_arguments(dataset, tmp_path / "run")) == 2
+    assert str(dataset / "images" / "00005_00.png") in capsys.readouterr().err.strip().splitlines()[-1]
+    Avatar.load(tmp_path / "run" / "avatar")
