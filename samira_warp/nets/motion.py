@@ -70,7 +70,8 @@ class MotionNetwork(nn.Module):
         channels = fourier_channels(3, bands=settings.bands)
         self.position = nn.Sequential(nn.Conv2d(channels, width, 1), nn.SiLU(), nn.Conv2d(width, width, 1))
         self.displacement = nn.Sequential(nn.Conv2d(channels, width, 1), nn.SiLU(), nn.Conv2d(width, width, 1))
-        self.lateral = nn.ModuleList(nn.Conv2d(features.shape[1], width, 1) for features in image_features)
+        # without bias: the instance normalisation that follows would remove it
+        self.lateral = nn.ModuleList(nn.Conv2d(features.shape[1], width, 1, bias=False) for features in image_features)
         self.gates = nn.Parameter(torch.zeros(len(image_features)))
         condition_sizes = (3, expression_size, pose_size)
         self.adain = nn.ModuleList(AdaptiveInstanceNorm(width, size, hidden=settings.condition_width) for size in condition_sizes)
