@@ -210,11 +210,14 @@ def _check_png(path: Path, *, whole: bool) -> None:
     with path.open("rb") as file:
         if file.read(8) != _PNG_SIGNATURE:
             raise UserError(path, expected="a PNG image", found="another file's first bytes")
-        name = b""
+        name, has_pixels = b"", False
         while name != b"IEND":
             name = _check_chunk(path, file)
-            if name == b"IDAT" and not whole:
+            has_pixels |= name == b"IDAT"
+            if has_pixels and not whole:
                 return
+    if not has_pixels:
+        raise UserError(path, expected="a whole PNG image", found="no pixels")
 
 
 def _check_chunk(path: Path, file: BinaryIO) -> bytes:

@@ -116,7 +116,7 @@ class _Entry:
         camera = self.camera()
         frame = FrameFiles(
             name=image_path.stem,
-            timestep=int(self._number("timestep_index")),
+            timestep=self._whole("timestep_index"),
             image_path=image_path,
             mask_path=mask_path,
             albedo_path=albedo_path if albedo_path.is_file() else None,
@@ -132,7 +132,7 @@ class _Entry:
 
     def camera(self) -> Camera:
         """The pinhole camera; without fl_x the field of view gives the focal length, without cx the centre is the frame's."""
-        width, height = self._size("w"), self._size("h")
+        width, height = self._whole("w", above=0), self._whole("h", above=0)
         if "fl_x" in self.values:
             fx = self._number("fl_x", above=0)
             fy = self._number("fl_y", above=0) if "fl_y" in self.values else fx
@@ -147,8 +147,9 @@ class _Entry:
 
     def _world_to_camera(self) -> torch.Tensor:
         """(4, 4) float32: the file's OpenGL camera-to-world with y and z turned to OpenCV's axes, then inverted."""
+        values = self._value("transform_matrix")
         try:
-            camera_to_world = torch.tensor(self._value("transform_matrix"), dtype=torch.float64)
+            camera_to_world = torch.tensor(values, dtype=torch.float64)
         except (TypeError, ValueError, RuntimeError) as fault:
             raise self._fault("a 4 x 4 matrix of numbers as transform_matrix", "something else") from fault
         if camera_to_world.shape != (4, 4):
@@ -171,10 +172,10 @@ class _Entry:
             raise UserError(path, expected=f"the file that {self.path.name} names as {key} of frames[{self.index}]", found="no such file")
         return path
 
-    def _size(self, key: str) -> int:
-        value = self._number(key, above=0)
+    def _whole(self, key: str, *, above: float = -math.inf) -> int:
+        value = self._number(key, above=above)
         if value != int(value):
-            raise self._fault(f"{key} to be a whole number of pixels", value)
+            raise self._fault(f"{key} to be a whole number", value)
         return int(value)
 
     def _number(self, key: str, *, above: float = -math.inf) -> float:

@@ -165,6 +165,9 @@ class LossWeights:
     """lambda_5 of Eq. albedo_loss."""
     mask: float = 0.1
     """L1 of alpha against the matte: on white, low opacity buys highlights, and relit faces would leak white."""
+    residual: float = 1.0
+    """Mean square of the UV residual as a share of its limits: without it the network drifts by millimetres that the Gaussians' means take
+    back, and memorises the tracker's noise frame by frame (docs/measurements.md)."""
     response: float = 1e-3
     """Prior on the squared response logits: (albedo / c, c tau) looks the same until the light changes."""
 

@@ -8,7 +8,8 @@ from typing import NamedTuple
 import kornia
 import torch
 
-from samira_warp.avatar import Avatar, Rendering
+from samira_warp.avatar import Avatar, Motion, Rendering
+from samira_warp.avatar.residual import POSITION_LIMIT
 from samira_warp.light import decode_srgb
 from samira_warp.train.config import LossWeights
 
@@ -64,6 +65,8 @@ def total_loss(
         "ssim": weights.ssim * (1.0 - kornia.metrics.ssim(prediction, truth, SSIM_WINDOW).mean()),
         "mask": weights.mask * (rendering.gbuffer.alpha[..., 0] - target.mask).abs().mean(),
     }
+    if avatar.settings.residual:
+        terms["residual"] = weights.residual * residual_prior(rendering.motion)
     if perceptual is not None:
         terms["lpips"] = weights.lpips * perceptual(rendering.image, target.image)
     if target.albedo is not None:
@@ -73,6 +76,12 @@ def total_loss(
         terms["normal_prior"] = weights.normal_prior * normal_prior(avatar.gaussians.normals, avatar.gaussians.initial_normals)
         terms["response"] = weights.response * avatar.response_logits.square().mean()
     return terms
+
+
+def residual_prior(motion: Motion) -> torch.Tensor:
+    """Mean square of the residual map's position and rotation, each as a share of its limit (s_mu and pi)."""
+    position, rotation = motion.residual_position / POSITION_LIMIT, motion.residual_rotation / torch.pi
+    return position.square().mean() + rotation.square().mean()
 
 
 def normal_smoothness(normal: torch.Tensor, alpha: torch.Tensor) -> torch.Tensor:

@@ -23,10 +23,13 @@ def scene(device, generator):
     gbuffer = SimpleNamespace(
         albedo=draw(SIZE, SIZE, 3), normal=torch.nn.functional.normalize(draw(SIZE, SIZE, 3), dim=-1), alpha=draw(SIZE, SIZE, 1)
     )
-    rendering = SimpleNamespace(image=draw(SIZE, SIZE, 3), gbuffer=gbuffer)
+    motion = SimpleNamespace(residual_position=0.02 * (draw(4, 4, 3) - 0.5), residual_rotation=draw(4, 4, 3) - 0.5)
+    rendering = SimpleNamespace(image=draw(SIZE, SIZE, 3), gbuffer=gbuffer, motion=motion)
     initial = torch.nn.functional.normalize(draw(10, 3), dim=1)
     avatar = SimpleNamespace(
-        gaussians=SimpleNamespace(normals=2 * draw(10, 3) + 0.1, initial_normals=initial), response_logits=draw(10, 2) - 0.5
+        gaussians=SimpleNamespace(normals=2 * draw(10, 3) + 0.1, initial_normals=initial),
+        response_logits=draw(10, 2) - 0.5,
+        settings=SimpleNamespace(residual=True),
     )
     return rendering, Target(draw(SIZE, SIZE, 3), draw(SIZE, SIZE), draw(SIZE, SIZE, 3)), avatar
 
@@ -58,6 +61,8 @@ def test_every_term_has_its_closed_form(scene):
         "albedo": 0.1 * np.abs(numpy_of(g.albedo) - numpy_of(target.albedo))[inside].mean(),
         "normal_smoothness": 0.15 * np.concatenate(pairs).mean(),
         "normal_prior": 0.1 * (1 - cosine).mean(),
+        "residual": (numpy_of(rendering.motion.residual_position / 0.02) ** 2).mean()
+        + (numpy_of(rendering.motion.residual_rotation / np.pi) ** 2).mean(),
         "response": 1e-3 * (numpy_of(avatar.response_logits) ** 2).mean(),
     }
     assert inside.any()
@@ -96,8 +101,9 @@ def test_a_perfect_image_costs_nothing(scene):
     rendering, target, avatar = scene
     rendering.image, rendering.gbuffer.alpha = target.image, target.mask[..., None]
     rendering.gbuffer.albedo = target.albedo
+    rendering.motion.residual_position, rendering.motion.residual_rotation = torch.zeros(4, 4, 3), torch.zeros(4, 4, 3)
     terms = total_loss(rendering, target, avatar, WEIGHTS, stage_two=False, perceptual=None)
-    assert set(terms) == {"l1", "ssim", "mask", "albedo"}
+    assert set(terms) == {"l1", "ssim", "mask", "albedo", "residual"}
     assert float(sum(terms.values())) == pytest.approx(0.0, abs=1e-6)
 
 

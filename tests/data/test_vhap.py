@@ -1,0 +1,270 @@
+"""What is read of a VHAP export: frames, their order and division, cameras and parameters."""
+
+import json
+import math
+import shutil
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+from data.damage import change_arrays, change_json
+from data.tiny import N_SHAPE, make_tiny_dataset
+
+from samira_warp.data import open_listing, open_sequence
+from samira_warp.data.vhap_parameters import FLAME_TEETH_VERTICES, FLAME_VERTICES, read_tracked_head
+from samira_warp.errors import UserError
+
+PARTS = ("transforms.json", "transforms_train.json", "transforms_test.json")
+
+
+@pytest.fixture
+def dataset(tiny_dataset, tmp_path):
+    return shutil.copytree(tiny_dataset, tmp_path / "subject")
+
+
+def change_every_list(root, change):
+    for name in PARTS:
+        change_json(root / name, change)
+
+
+def change_every_entry(root, change):
+    def each(document):
+        for entry in document["frames"]:
+            change(entry)
+
+    change_every_list(root, each)
+
+
+def matrix(axis, angle):
+    """Rotation about a coordinate axis, written out."""
+    c, s = math.cos(angle), math.sin(angle)
+    return np.array({"x": [[1, 0, 0], [0, c, -s], [0, s, c]], "y": [[c, 0, s], [0, 1, 0], [-s, 0, c]], "z": [[c, -s, 0], [s, c, 0], [0, 0, 1]]}[axis])
+
+
+
+
+def test_the_datasets_own_split(tiny_dataset):
+    sequence = open_sequence(tiny_dataset)
+    assert [frame.name for frame in sequence.frames] == [f"{index:05d}_00" for index in range(6)]
+    assert [frame.timestep for frame in sequence.frames] == list(range(6))
+    assert (sequence.train, sequence.test, sequence.selected) == ((0, 1, 2, 3), (4, 5), (4, 5))
+    assert open_listing(tiny_dataset, split="train").selected == (0, 1, 2, 3)
+    assert [frame.albedo_path is not None for frame in sequence.frames] == [True] * 4 + [False] * 2
+    assert sequence.template_path == tiny_dataset / "template.npz"
+
+
+@pytest.mark.parametrize(("split", "test"), [("0.5", (3, 4, 5)), ("last:1", (5,))])
+def test_a_split_of_the_users(tiny_dataset, split, test):
+    listing = open_listing(tiny_dataset, split=split)
+    assert listing.test == listing.selected == test
+    assert sorted(listing.train + listing.test) == list(range(6))
+
+
+def test_a_split_of_the_users_needs_only_the_whole_list(dataset):
+    (dataset / "transforms_train.json").unlink()
+    (dataset / "transforms_test.json").unlink()
+    assert open_listing(dataset, split="last:2").test == (4, 5)
+
+
+def test_the_datasets_own_split_needs_only_its_two_lists(dataset):
+    (dataset / "transforms.json").unlink()
+    (dataset / "transforms_val.json").unlink()
+    assert len(open_listing(dataset).frames) == 6
+
+
+def test_frames_are_ordered_by_timestep_however_they_are_listed(dataset):
+    change_every_list(dataset, lambda document: document["frames"].reverse())
+    listing = open_listing(dataset)
+    assert [frame.timestep for frame in listing.frames] == list(range(6))
+    assert listing.test == (4, 5)
+
+
+def test_views_of_one_moment_stay_in_one_part(dataset):
+    """Timesteps 0, 0, 1, 1, 2, 2: the last timestep is two frames."""
+    change_every_entry(dataset, lambda entry: entry.update(timestep_index=entry["timestep_index"] // 2))
+    assert open_listing(dataset, split="last:1").test == (4, 5)
+
+
+def test_masks_may_be_absent(dataset):
+    shutil.rmtree(dataset / "fg_masks")
+    change_every_entry(dataset, lambda entry: entry.pop("fg_mask_path"))
+    assert all(frame.mask_path is None for frame in open_sequence(dataset).frames)
+
+
+def test_listing_reads_no_parameters(dataset):
+    (dataset / "template.npz").unlink()
+    for path in (dataset / "flame_param").iterdir():
+        path.write_bytes(b"")
+    assert len(open_listing(dataset).frames) == 6
+
+
+def test_keys_that_are_not_known_are_passed_over(dataset):
+    change_every_entry(dataset, lambda entry: entry.update(k1=0.1, note="mine"))
+    assert len(open_listing(dataset).frames) == 6
+
+
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_camera_projects_a_known_point_where_it_should(dataset, seed):
+    """A point a right of, b above and d before an OpenGL camera lands at (cx + fx a / d, cy - fy b / d)."""
+    rng = np.random.default_rng(seed)
+    rotation = matrix("y", rng.uniform(-1, 1)) @ matrix("x", rng.uniform(-1, 1)) @ matrix("z", rng.uniform(-1, 1))
+    position = rng.uniform(-1, 1, 3)
+    camera_to_world = np.eye(4)
+    camera_to_world[:3, :3], camera_to_world[:3, 3] = rotation, position
+    change_every_entry(dataset, lambda entry: entry.update(transform_matrix=camera_to_world.tolist(), fl_x=100.0, fl_y=80.0, cx=15.0, cy=20.5))
+    camera = open_listing(dataset).frames[0].camera
+    a, b, d = 0.2, 0.1, 1.6
+    world = rotation @ [a, b, -d] + position
+    x, y, z = (camera.world_to_camera.double() @ torch.tensor([*world, 1.0], dtype=torch.float64))[:3].tolist()
+    # float32 rounding of a transform whose entries are near 1
+    assert z == pytest.approx(d, abs=1e-6)
+    assert camera.cx + camera.fx * x / z == pytest.approx(15.0 + 100.0 * a / d, abs=1e-4)
+    assert camera.cy + camera.fy * y / z == pytest.approx(20.5 - 80.0 * b / d, abs=1e-4)
+    torch.testing.assert_close(camera.center, torch.tensor(position, dtype=torch.float32), atol=1e-6, rtol=0)
+    assert (camera.world_to_camera.dtype, camera.width, camera.height) == (torch.float32, 32, 32)
+
+
+def test_a_camera_of_four_decimals_is_accepted(dataset):
+    rounded = np.eye(4)
+    rounded[:3, :3] = np.round(matrix("y", 0.4), 4)
+    change_every_entry(dataset, lambda entry: entry.update(transform_matrix=rounded.tolist()))
+    open_listing(dataset)
+
+
+def test_each_frame_has_its_own_intrinsics(dataset):
+    change_every_entry(dataset, lambda entry: entry.update(fl_x=50.0 + entry["timestep_index"], cx=10.0 + entry["timestep_index"]))
+    cameras = [frame.camera for frame in open_listing(dataset).frames]
+    assert [camera.fx for camera in cameras] == [50.0 + index for index in range(6)]
+    assert [camera.cx for camera in cameras] == [10.0 + index for index in range(6)]
+    assert {camera.fy for camera in cameras} == {2.8 * 32}
+
+
+def test_intrinsics_at_the_top_of_the_file_hold_for_all_frames(dataset):
+    def to_top(document):
+        for entry in document["frames"]:
+            for key in ("cx", "cy", "fl_x", "fl_y", "w", "h", "camera_angle_x", "camera_angle_y"):
+                del entry[key]
+        document.update(fl_x=70.0, fl_y=60.0, cx=12.0, cy=13.0)
+
+    change_every_list(dataset, to_top)
+    camera = open_listing(dataset).frames[-1].camera
+    assert (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height) == (70.0, 60.0, 12.0, 13.0, 32, 32)
+
+
+def without(document, *keys):
+    for values in (document, *document["frames"]):
+        for key in keys:
+            values.pop(key, None)
+
+
+def test_without_a_focal_length_the_field_of_view_gives_it(dataset):
+    change_every_list(dataset, lambda document: without(document, "fl_x", "fl_y"))
+    camera = open_listing(dataset).frames[0].camera
+    # the tiny dataset's angle is that of a focal length of 2.8 widths
+    assert camera.fx == camera.fy == pytest.approx(2.8 * 32)
+
+
+def test_a_frames_own_field_of_view_outweighs_the_files_focal_length(dataset):
+    def change(document):
+        document["fl_x"] = document["fl_y"] = 1.0
+        for entry in document["frames"]:
+            del entry["fl_x"], entry["fl_y"]
+            entry["camera_angle_x"] = math.pi / 2
+
+    change_every_list(dataset, change)
+    assert open_listing(dataset).frames[0].camera.fx == pytest.approx(16.0)
+
+
+def test_without_a_principal_point_it_is_the_centre(dataset):
+    change_every_list(dataset, lambda document: without(document, "cx", "cy"))
+    camera = open_listing(dataset).frames[0].camera
+    assert (camera.cx, camera.cy) == (16.0, 16.0)
+
+
+def test_without_fl_y_pixels_are_square(dataset):
+    change_every_list(dataset, lambda document: without(document, "fl_y"))
+    camera = open_listing(dataset).frames[0].camera
+    assert camera.fy == camera.fx == 2.8 * 32
+
+
+
+
+def test_parameters_are_those_of_the_file_that_the_list_names(dataset):
+    """VHAP names files by the original timestep: here the listed paths run backwards."""
+    change_every_entry(dataset, lambda entry: entry.update(flame_param_path=f"flame_param/{5 - entry['timestep_index']:05d}.npz"))
+    sequence = open_sequence(dataset)
+    for frame in sequence.frames:
+        with np.load(dataset / "flame_param" / f"{5 - frame.timestep:05d}.npz") as arrays:
+            ours = frame.parameters
+            for key, values in (
+                ("translation", ours.translation),
+                ("rotation", ours.rotation),
+                ("neck_pose", ours.neck),
+                ("jaw_pose", ours.jaw),
+                ("eyes_pose", ours.eyes),
+                ("expr", ours.expression),
+            ):
+                assert values.dtype == torch.float32
+                np.testing.assert_array_equal(values.numpy(), arrays[key][0])
+    assert sequence.shape.shape == (N_SHAPE,)
+    np.testing.assert_allclose(sequence.shape.numpy(), [0.1, -0.1], rtol=1e-7)
+    assert sequence.canonical_static_offset is None
+
+
+def test_float64_parameters_are_accepted(dataset):
+    change_arrays(dataset / "flame_param" / "00000.npz", expr=lambda array: array.astype(np.float64))
+    assert open_sequence(dataset).frames[0].parameters.expression.dtype == torch.float32
+
+
+def test_a_repeated_static_offset_is_held_once(tmp_path):
+    sequence = open_sequence(make_tiny_dataset(tmp_path / "subject", frames=4, size=32, static_offset=True))
+    shared = sequence.canonical_static_offset
+    assert shared.shape == (len(sequence.template.v_template), 3)
+    assert all(frame.parameters.static_offset is shared for frame in sequence.frames)
+
+
+def test_a_frames_own_static_offset_is_its_own(tmp_path):
+    root = make_tiny_dataset(tmp_path / "subject", frames=4, size=32, static_offset=True)
+    change_arrays(root / "flame_param" / "00001.npz", static_offset=lambda array: 2 * array)
+    sequence = open_sequence(root)
+    torch.testing.assert_close(sequence.frames[1].parameters.static_offset, 2 * sequence.canonical_static_offset)
+
+
+def test_the_template_may_come_from_elsewhere(dataset, tmp_path):
+    (dataset / "template.npz").rename(tmp_path / "flame.npz")
+    assert open_sequence(dataset, flame=tmp_path / "flame.npz").template_path == tmp_path / "flame.npz"
+
+
+WITH_TEETH = FLAME_VERTICES + FLAME_TEETH_VERTICES
+
+
+@pytest.mark.parametrize("vertices", [FLAME_VERTICES, WITH_TEETH])
+@pytest.mark.parametrize("rows", [FLAME_VERTICES, WITH_TEETH])
+def test_flames_teeth_are_added_or_left_out(dataset, vertices, rows):
+    path = dataset / "canonical_flame_param.npz"
+    offset = np.random.default_rng(0).normal(size=(1, rows, 3)).astype(np.float32)
+    change_arrays(path, static_offset=offset)
+    head = read_tracked_head(path, SimpleNamespace(v_template=np.zeros((vertices, 3)), n_expression=4, n_shape=2))
+    ours = head.parameters.static_offset.numpy()
+    assert ours.shape == (vertices, 3)
+    common = min(rows, vertices)
+    np.testing.assert_array_equal(ours[:common], offset[0, :common])
+    assert not ours[common:].any()
+
+
+@pytest.mark.parametrize("rows", [FLAME_VERTICES - 1, WITH_TEETH + 1])
+def test_an_offset_of_any_other_count_is_refused(dataset, rows):
+    path = dataset / "canonical_flame_param.npz"
+    change_arrays(path, static_offset=np.zeros((1, rows, 3), np.float32))
+    with pytest.raises(UserError, match=rf"static_offset: expected .*{FLAME_VERTICES}.* found .*{rows}"):
+        read_tracked_head(path, SimpleNamespace(v_template=np.zeros((FLAME_VERTICES, 3)), n_expression=4, n_shape=2))
+
+
+@pytest.mark.subject
+def test_the_real_subject(subject):
+    listing = open_listing(subject)
+    document = json.loads((subject / "transforms_test.json").read_text())
+    assert len(listing.test) == len(document["frames"])
