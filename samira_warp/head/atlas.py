@@ -128,7 +128,7 @@ def _nearest_covered(covered: np.ndarray) -> np.ndarray:
 
 def _overlap(size: int, step: int) -> slice:
     """Indices i with i + step inside as well."""
-    return slice(max(0, -step), size - max(0, step))
+    return slice(max(0, -step), max(0, size - max(0, step)))
 
 
 def _charts(template: HeadTemplate) -> np.ndarray:

@@ -78,11 +78,13 @@ def read_template(path: str | Path) -> HeadTemplate:
     reader = _Reader(Path(path))
     v_template = reader.numbers("v_template", (None, 3))
     vertices = len(v_template)
+    reader.expect("v_template", vertices > 0, "at least one vertex", "none")
     shapedirs = reader.numbers("shapedirs", (vertices, 3, None))
     n_shape = int(reader.integers("n_shape", (), low=0, high=shapedirs.shape[2] + 1))
     weights = reader.numbers("weights", (vertices, JOINTS))
     reader.expect("weights", np.abs(weights.sum(axis=1) - 1).max() < 1e-3, "rows that sum to 1", "other sums")
     faces = reader.integers("f", (None, 3), low=0, high=vertices)
+    reader.expect("f", len(faces) > 0, "at least one face", "none")
     vt = reader.numbers("vt", (None, 2))
     return HeadTemplate(
         v_template=v_template,
@@ -136,11 +138,15 @@ class _Reader:
             raise UserError(path, expected="an npz file with FLAME's keys", found="a pickle, which may run code when it is read")
         if not path.is_file():
             raise UserError(path, expected="an npz file with FLAME's keys", found="no such file")
+        self.arrays: dict[str, np.ndarray] = {}
+        place = f"{path}"
         try:
             with np.load(path, allow_pickle=False) as archive:
-                self.arrays = {key: archive[key] for key in archive.files}
+                for key in archive.files:
+                    place = f"{path}: {key}"
+                    self.arrays[key] = archive[key]
         except (ValueError, TypeError, AttributeError, OSError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-            raise UserError(path, expected="an npz file of plain arrays", found=f"unreadable content ({error})") from error
+            raise UserError(place, expected="an npz file of plain arrays", found=f"unreadable content ({error})") from error
 
     def expect(self, key: str, holds: bool | np.bool_, expected: str, found: str) -> None:
         if not holds:

@@ -15,8 +15,8 @@ _GRAIN = 4096
 def closest_barycentrics(points: torch.Tensor, triangles: torch.Tensor) -> torch.Tensor:
     """Weights of the corners at the closest point of each point's own triangle (Alg. 1); constants, without a gradient.
 
-    The point projects into one of seven Voronoi regions: three corners, three edges, the interior. Degenerate triangles count as the
-    segment or the point that they are.
+    The point projects into one of seven Voronoi regions: three corners, three edges, the interior. A triangle whose corners coincide
+    counts as the segment or the point that it is; of a needle too thin for float32 the result is one of its points, not always the closest.
 
     Args:
         points: (N, 3) float32.
@@ -46,7 +46,10 @@ def _share(part: wp.float32, rest: wp.float32) -> wp.float32:
 
 @wp.func
 def _closest_weights(p: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3) -> wp.vec3:
-    """Weights by Voronoi region; d1 to d6 are Alg. 1's, the components of ap, bp and cp along ab and ac."""
+    """Weights by Voronoi region; d1 to d6 are Alg. 1's, the components of ap, bp and cp along ab and ac.
+
+    d1 - d3 is the square of ab: where a is b, that edge leaves its region to ac.
+    """
     ab = b - a
     ac = c - a
     d1 = wp.dot(ab, p - a)
@@ -65,7 +68,7 @@ def _closest_weights(p: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3) -> wp.vec3:
     weight_a = d3 * d6 - d5 * d4
     weight_b = d5 * d2 - d1 * d6
     weight_c = d1 * d4 - d3 * d2
-    if weight_c <= 0.0 and d1 >= 0.0 and d3 <= 0.0:
+    if weight_c <= 0.0 and d1 >= 0.0 and d3 <= 0.0 and d1 > d3:
         along = _share(d1, -d3)
         return wp.vec3(1.0 - along, along, 0.0)
     if weight_b <= 0.0 and d2 >= 0.0 and d6 <= 0.0:

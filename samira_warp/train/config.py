@@ -130,13 +130,17 @@ RATES = {
     "specular_logits": constant(5e-3),
     "normals": constant(1e-3),
     "response": constant(1e-3),
-    "network": Rate((1e-4, 1e-5), (5e-4, 5e-5)),
+    "network": Rate((1e-4, 1e-5), (2e-3, 1e-4)),
     "light": Rate((2e-4, 2e-5), (1e-2, 1e-3)),
-    "expression": Rate((1e-3, 1e-3), (1e-4, 1e-4)),
-    "pose": constant(1e-5),
-    "translation": constant(1e-6),
+    "expression": Rate((1e-3, 1e-3), (1e-5, 1e-5)),
+    "pose": Rate((1e-5, 1e-5), (3e-5, 3e-5)),
+    "translation": Rate((1e-6, 1e-6), (5e-6, 5e-6)),
 }
-"""By parameter group: GaussianAvatars' for geometry and tracking, HRAvatar's for materials, the paper's for network and light."""
+"""By parameter group: GaussianAvatars' for geometry and tracking, HRAvatar's for materials, the paper's for network and light.
+
+In short runs, rigid tracking moves faster, so that its noise is out of the way before the network learns, and expressions move slower, so
+that what repeats with an expression is left to the network instead of being tuned away frame by frame (docs/measurements.md).
+"""
 
 
 def learning_rate(group: str, *, step: int, steps: int) -> float:
@@ -165,7 +169,7 @@ class LossWeights:
     """lambda_5 of Eq. albedo_loss."""
     mask: float = 0.1
     """L1 of alpha against the matte: on white, low opacity buys highlights, and relit faces would leak white."""
-    residual: float = 1.0
+    residual: float = 0.1
     """Mean square of the UV residual as a share of its limits: without it the network drifts by millimetres that the Gaussians' means take
     back, and memorises the tracker's noise frame by frame (docs/measurements.md)."""
     response: float = 1e-3

@@ -1,4 +1,4 @@
-"""What a dataset can have wrong, one by one: all is found on opening, and the message names the file, what was expected and what was found."""
+"""What a dataset can have wrong, one by one: found on opening, and named with what was expected and what was found."""
 
 import json
 import os

@@ -123,7 +123,12 @@ def test_frames_fetched_ahead_are_decoded_once(frames, decoded):
 
 def test_fetching_ahead_runs_beside_the_caller(frames, monkeypatch):
     threads = []
-    monkeypatch.setattr(cache, "load_pixels", lambda frame, **size: (threads.append(threading.current_thread()), load_pixels(frame, **size))[1])
+
+    def load(frame, **size):
+        threads.append(threading.current_thread())
+        return load_pixels(frame, **size)
+
+    monkeypatch.setattr(cache, "load_pixels", load)
     with PixelCache(frames, **SIZE) as pixels:
         pixels.prefetch([0])
         pixels[0]

@@ -4,7 +4,7 @@ import struct
 import zlib
 
 import numpy as np
-import OpenImageIO as oiio
+import OpenImageIO as oiio  # noqa: N813 - the name its own documentation uses
 import pytest
 from PIL import Image
 from skimage.transform import downscale_local_mean

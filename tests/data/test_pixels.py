@@ -33,7 +33,8 @@ def blend(colour, background, mask):
 
 def test_pixels_are_those_of_the_files(frame):
     pixels = load_pixels(frame, **SIZE)
-    for ours, path, channels in ((pixels.image, frame.image_path, 3), (pixels.albedo, frame.albedo_path, 3), (pixels.mask[..., None], frame.mask_path, 1)):
+    files = ((pixels.image, frame.image_path, 3), (pixels.albedo, frame.albedo_path, 3), (pixels.mask[..., None], frame.mask_path, 1))
+    for ours, path, channels in files:
         assert ours.dtype == torch.float32
         np.testing.assert_array_equal(ours.numpy(), read_image(path, channels=channels))
 

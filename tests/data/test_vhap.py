@@ -39,9 +39,10 @@ def change_every_entry(root, change):
 def matrix(axis, angle):
     """Rotation about a coordinate axis, written out."""
     c, s = math.cos(angle), math.sin(angle)
-    return np.array({"x": [[1, 0, 0], [0, c, -s], [0, s, c]], "y": [[c, 0, s], [0, 1, 0], [-s, 0, c]], "z": [[c, -s, 0], [s, c, 0], [0, 0, 1]]}[axis])
-
-
+    about_x = [[1, 0, 0], [0, c, -s], [0, s, c]]
+    about_y = [[c, 0, s], [0, 1, 0], [-s, 0, c]]
+    about_z = [[c, -s, 0], [s, c, 0], [0, 0, 1]]
+    return np.array({"x": about_x, "y": about_y, "z": about_z}[axis])
 
 
 def test_the_datasets_own_split(tiny_dataset):
@@ -104,8 +105,6 @@ def test_keys_that_are_not_known_are_passed_over(dataset):
     assert len(open_listing(dataset).frames) == 6
 
 
-
-
 @pytest.mark.parametrize("seed", range(3))
 def test_a_camera_projects_a_known_point_where_it_should(dataset, seed):
     """A point a right of, b above and d before an OpenGL camera lands at (cx + fx a / d, cy - fy b / d)."""
@@ -114,7 +113,8 @@ def test_a_camera_projects_a_known_point_where_it_should(dataset, seed):
     position = rng.uniform(-1, 1, 3)
     camera_to_world = np.eye(4)
     camera_to_world[:3, :3], camera_to_world[:3, 3] = rotation, position
-    change_every_entry(dataset, lambda entry: entry.update(transform_matrix=camera_to_world.tolist(), fl_x=100.0, fl_y=80.0, cx=15.0, cy=20.5))
+    intrinsics = {"fl_x": 100.0, "fl_y": 80.0, "cx": 15.0, "cy": 20.5}
+    change_every_entry(dataset, lambda entry: entry.update(intrinsics, transform_matrix=camera_to_world.tolist()))
     camera = open_listing(dataset).frames[0].camera
     a, b, d = 0.2, 0.1, 1.6
     world = rotation @ [a, b, -d] + position
@@ -188,8 +188,6 @@ def test_without_fl_y_pixels_are_square(dataset):
     change_every_list(dataset, lambda document: without(document, "fl_y"))
     camera = open_listing(dataset).frames[0].camera
     assert camera.fy == camera.fx == 2.8 * 32
-
-
 
 
 def test_parameters_are_those_of_the_file_that_the_list_names(dataset):

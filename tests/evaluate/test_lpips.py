@@ -59,7 +59,7 @@ class Written:
         shift, scale = (torch.tensor(values)[:, None, None] for values in (SHIFT, SCALE))
         first, second = (((image * 2 - 1).permute(2, 0, 1) - shift)[None] / scale for image in (first, second))
         total, level = 0.0, 0
-        for index, layer in enumerate(self.features):
+        for index, layer in enumerate(self.features[: self.taps[-1] + 1]):
             first, second = layer(first), layer(second)
             if index in self.taps:
                 units = [values / ((values**2).sum(dim=1, keepdim=True).sqrt() + 1e-10) for values in (first, second)]

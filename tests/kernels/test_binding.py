@@ -25,7 +25,9 @@ def quaternion_to_rotation(q):
 def make_frames(generator, device, faces):
     """Random rotations, among them quarter and half turns about the axes, where a quaternion's largest component changes."""
     q = torch.randn(faces, 4, generator=generator, dtype=torch.float64)
-    special = torch.tensor([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1], [1, 1, 0, 0], [0, 1, 1, 0], [1, 1, 1, 1], [1, 1, 1, -1]])
+    special = torch.tensor(
+        [[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1], [1, 1, 0, 0], [0, 1, 1, 0], [1, 1, 1, 1], [1, 1, 1, -1]]
+    )
     q[: len(special)] = special[:faces]
     rotation = quaternion_to_rotation(q).float()
     translation = torch.randn(faces, 3, generator=generator)

@@ -1,0 +1,239 @@
+import pickle
+
+import numpy as np
+import pytest
+from data.tiny import N_EXPRESSION, N_SHAPE, tiny_template
+
+from samira_warp.errors import UserError
+from samira_warp.head.template import read_template, save_template
+
+
+class Trap:
+    """Unpickled, it would say so."""
+
+    def __reduce__(self):
+        return pytest.fail, ("a pickle was loaded",)
+
+
+@pytest.fixture
+def arrays():
+    return tiny_template()
+
+
+@pytest.fixture
+def read(tmp_path):
+    """Write arrays as a template and read it back."""
+
+    def write_and_read(arrays):
+        np.savez(tmp_path / "head.npz", **arrays)
+        return read_template(tmp_path / "head.npz")
+
+    return write_and_read
+
+
+def test_reads_what_is_there(arrays, read):
+    template = read(arrays)
+    for name in ("v_template", "shapedirs", "posedirs", "weights", "vt", "ft"):
+        assert np.array_equal(getattr(template, name), arrays[name])
+    assert np.array_equal(template.joint_regressor, arrays["J_regressor"])
+    assert np.array_equal(template.faces, arrays["f"])
+    assert template.faces.dtype == template.ft.dtype == np.int32
+    assert template.v_template.dtype == np.float32
+    assert (template.n_shape, template.n_expression) == (N_SHAPE, N_EXPRESSION)
+    assert template.parents.tolist() == [-1, 0, 1, 1, 1]
+    assert template.expression_names == tuple(arrays["expression_names"])
+    assert {f"mask_{name}" for name in template.masks} == {key for key in arrays if key.startswith("mask_")}
+    assert np.array_equal(template.masks["nose"], arrays["mask_nose"])
+
+
+def test_other_dtypes_and_flames_root(arrays, read):
+    """Doubles, unsigned indices, and FLAME's mark of the root: the largest uint32."""
+    same = read(arrays)
+    for key in ("v_template", "shapedirs", "weights"):
+        arrays[key] = arrays[key].astype(np.float64)
+    for key in ("f", "ft"):
+        arrays[key] = arrays[key].astype(np.uint32)
+    arrays["kintree_table"] = np.array([[2**32 - 1, 0, 1, 1, 1], [0, 1, 2, 3, 4]], np.uint32)
+    assert read(arrays).hash == same.hash
+
+
+def test_names_and_masks_are_optional(arrays, read):
+    template = read({key: value for key, value in arrays.items() if key != "expression_names" and not key.startswith("mask_")})
+    assert len(set(template.expression_names)) == N_EXPRESSION
+    assert template.masks == {}
+
+
+def test_saved_and_read_again(arrays, read, tmp_path):
+    template = read(arrays)
+    save_template(template, tmp_path / "copy.bin")
+    copy = read_template(str(tmp_path / "copy.bin"))
+    assert copy.hash == template.hash
+    assert copy.expression_names == template.expression_names
+    assert np.array_equal(copy.masks["lips"], template.masks["lips"])
+
+
+@pytest.mark.parametrize("key", ["v_template", "weights", "f", "mask_nose", "expression_names", "n_shape"])
+def test_hash_depends_on_every_value(arrays, read, key):
+    before = read(arrays).hash
+    assert len(before) == 64
+    changed = np.copy(arrays[key])
+    if key == "n_shape":
+        arrays["expression_names"] = np.append(arrays["expression_names"], "more")
+        changed = changed - 1
+    elif key == "weights":
+        changed[0] = np.roll(changed[0], 1)
+    else:
+        changed[0], changed[1] = np.copy(changed[1]), np.copy(changed[0])
+    assert not np.array_equal(changed, arrays[key])
+    assert read(arrays | {key: changed}).hash != before
+
+
+REQUIRED = ("v_template", "shapedirs", "n_shape", "posedirs", "J_regressor", "kintree_table", "weights", "f", "vt", "ft")
+
+
+@pytest.mark.parametrize("key", REQUIRED)
+def test_a_missing_key(arrays, read, key):
+    del arrays[key]
+    with pytest.raises(UserError, match=rf"head\.npz: {key}: expected an array.*no such key"):
+        read(arrays)
+
+
+@pytest.mark.parametrize("key", [*REQUIRED, "expression_names", "mask_nose"])
+def test_a_wrong_shape(arrays, read, key):
+    arrays[key] = arrays[key][..., None]
+    with pytest.raises(UserError, match=rf"head\.npz: {key}: expected shape .* found shape"):
+        read(arrays)
+
+
+@pytest.mark.parametrize("key", ["shapedirs", "posedirs", "J_regressor", "weights"])
+def test_a_vertex_too_few(arrays, read, key):
+    arrays[key] = arrays[key][:, :-1] if key == "J_regressor" else arrays[key][:-1]
+    with pytest.raises(UserError, match=rf"{key}: expected shape .*{len(arrays['v_template'])}"):
+        read(arrays)
+
+
+@pytest.mark.parametrize("key", ["ft", "expression_names"])
+def test_an_entry_too_few(arrays, read, key):
+    arrays[key] = arrays[key][:-1]
+    with pytest.raises(UserError, match=rf"{key}: expected shape"):
+        read(arrays)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+@pytest.mark.parametrize("key", ["v_template", "shapedirs", "posedirs", "J_regressor", "weights", "vt"])
+def test_numbers_that_are_not_finite(arrays, read, key, value):
+    arrays[key].flat[7] = value
+    with pytest.raises(UserError, match=rf"{key}: expected finite numbers"):
+        read(arrays)
+
+
+@pytest.mark.parametrize(("key", "beyond"), [("f", "v_template"), ("ft", "vt"), ("mask_scalp", "v_template")])
+@pytest.mark.parametrize("low", [True, False])
+def test_an_index_out_of_range(arrays, read, key, beyond, low):
+    arrays[key].flat[3] = -1 if low else len(arrays[beyond])
+    with pytest.raises(UserError, match=rf"{key}: expected integers from 0 to {len(arrays[beyond]) - 1}, found"):
+        read(arrays)
+
+
+@pytest.mark.parametrize("n_shape", [-1, N_SHAPE + N_EXPRESSION + 1])
+def test_n_shape_out_of_range(arrays, read, n_shape):
+    arrays["n_shape"] = np.int64(n_shape)
+    with pytest.raises(UserError, match=rf"n_shape: expected integers from 0 to {N_SHAPE + N_EXPRESSION}, found {n_shape}"):
+        read(arrays)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "expected"),
+    [
+        ("f", np.float32, "integers"),
+        ("mask_nose", np.float64, "integers"),
+        ("vt", np.str_, "numbers"),
+        ("v_template", np.complex64, "numbers"),
+        ("kintree_table", np.float32, "integers"),
+    ],
+)
+def test_a_wrong_dtype(arrays, read, key, value, expected):
+    arrays[key] = arrays[key].astype(value)
+    with pytest.raises(UserError, match=rf"{key}: expected {expected}"):
+        read(arrays)
+
+
+def test_names_that_are_numbers(arrays, read):
+    arrays["expression_names"] = np.arange(N_EXPRESSION)
+    with pytest.raises(UserError, match="expression_names: expected text"):
+        read(arrays)
+
+
+def test_weights_that_do_not_sum_to_one(arrays, read):
+    arrays["weights"] = arrays["weights"] * 0.9
+    with pytest.raises(UserError, match="weights: expected rows that sum to 1"):
+        read(arrays)
+
+
+@pytest.mark.parametrize("parents", [[-1, 2, 1, 1, 1], [-1, 0, 1, 1, 5], [-1, 0, 1, -1, 1]])
+def test_a_kinematic_tree_that_is_none(arrays, read, parents):
+    arrays["kintree_table"] = np.array([parents, range(5)])
+    with pytest.raises(UserError, match="kintree_table: expected parents that precede"):
+        read(arrays)
+
+
+def test_a_head_without_vertices(arrays, read):
+    arrays |= {key: arrays[key][:0] for key in ("v_template", "shapedirs", "posedirs", "weights", "f", "ft")}
+    arrays |= {"J_regressor": arrays["J_regressor"][:, :0]}
+    with pytest.raises(UserError, match="v_template"):
+        read(arrays)
+
+
+def test_a_head_without_faces(arrays, read):
+    arrays |= {key: arrays[key][:0] for key in ("f", "ft")}
+    with pytest.raises(UserError, match="f: expected at least one face"):
+        read(arrays)
+
+
+def test_pickled_content_is_not_loaded(arrays, read):
+    arrays["vt"] = np.array([Trap()], dtype=object)
+    with pytest.raises(UserError, match=r"head\.npz: vt: .*pickle"):
+        read(arrays)
+
+
+@pytest.mark.parametrize("name", ["generic_model.pkl", "FLAME.PICKLE"])
+def test_a_pickle_is_refused_unread(tmp_path, name):
+    (tmp_path / name).write_bytes(pickle.dumps(Trap()))
+    with pytest.raises(UserError, match=rf"{name}: expected an npz file"):
+        read_template(tmp_path / name)
+
+
+def test_a_pickle_by_another_name_is_not_loaded(tmp_path):
+    (tmp_path / "head.npz").write_bytes(pickle.dumps(Trap()))
+    with pytest.raises(UserError, match=r"head\.npz: expected an npz file of plain arrays"):
+        read_template(tmp_path / "head.npz")
+
+
+def test_no_such_file(tmp_path):
+    with pytest.raises(UserError, match=r"nowhere\.npz: expected an npz file.*no such file"):
+        read_template(tmp_path / "nowhere.npz")
+    with pytest.raises(UserError, match="no such file"):
+        read_template(tmp_path)
+
+
+@pytest.mark.parametrize("content", ["empty", "text", "zip without arrays", "truncated", "npy", "flipped"])
+def test_not_an_npz(arrays, tmp_path, content):
+    path = tmp_path / "head.npz"
+    np.savez_compressed(path, **arrays)
+    whole = path.read_bytes()
+    if content == "npy":
+        with path.open("wb") as file:
+            np.save(file, np.zeros(3))
+    else:
+        middle = len(whole) // 2
+        path.write_bytes(
+            {
+                "empty": b"",
+                "text": b"v_template: 1 2 3",
+                "zip without arrays": b"PK\x05\x06" + bytes(18),
+                "truncated": whole[:middle],
+                "flipped": whole[:middle] + bytes(255 - byte for byte in whole[middle : middle + 64]) + whole[middle + 64 :],
+            }[content]
+        )
+    with pytest.raises(UserError, match=r"head\.npz"):
+        read_template(path)
