@@ -2,7 +2,12 @@
 
 from __future__ import annotations
 
+import os
 from typing import TYPE_CHECKING, Any
+
+# Before torch loads OpenMP: its threads spin between parallel regions by default, and on a machine that other processes also use,
+# spinning threads keep the cores from the thread that has work: training steps then take ten times as long. Waiting costs next to nothing.
+os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 __version__ = "0.1.0"
 __all__ = ["Avatar", "Camera", "Environment", "UserError", "__version__"]
