@@ -118,7 +118,7 @@ class Avatar(nn.Module):
         self.canonical, self.settings = canonical, settings
         self.motion = MotionNetwork(
             settings.motion,
-            reference_positions=_to_unit_cube(canonical.positions).permute(2, 0, 1),
+            reference_positions=_to_unit_cube(canonical.positions, canonical.atlas.valid).permute(2, 0, 1),
             image_features=image_features,
             masks=_one_hot_masks(canonical.atlas),
             expression_size=canonical.template.n_expression,
@@ -281,10 +281,10 @@ def _shade_pixels(gbuffer: GBuffer, camera: Camera, light: FilteredLight) -> Sha
     return Shaded(*(value.unflatten(0, gbuffer.alpha.shape[:2]) for value in shaded))
 
 
-def _to_unit_cube(positions: torch.Tensor) -> torch.Tensor:
-    """Scale a position map uniformly into [-1, 1] about its centre."""
-    low, high = positions.amin(dim=(0, 1)), positions.amax(dim=(0, 1))
-    return 2.0 * (positions - 0.5 * (low + high)) / (high - low).max()
+def _to_unit_cube(positions: torch.Tensor, valid: torch.Tensor) -> torch.Tensor:
+    """Scale an (H, W, 3) position map so that its (H, W) valid texels fill [-1, 1] about their centre; the others become 0."""
+    low, high = positions[valid].amin(dim=0), positions[valid].amax(dim=0)
+    return valid[..., None] * (2.0 * (positions - 0.5 * (low + high)) / (high - low).max())
 
 
 def _one_hot_masks(atlas: UvAtlas) -> torch.Tensor:

@@ -10,6 +10,8 @@ from pathlib import Path
 import torch
 from torch import nn
 
+from samira_warp.errors import UserError
+
 logger = logging.getLogger(__name__)
 
 IMAGE_MEAN = (0.485, 0.456, 0.406)
@@ -49,13 +51,18 @@ def encode_reference(image: torch.Tensor, *, encoder: str = DEFAULT_ENCODER, lev
 
 
 def _load_backbone(encoder: str, levels: int) -> tuple[nn.Module, str]:
-    if encoder != RANDOM_ENCODER:
+    """The backbone and its name; random features stand in for the default one where it cannot be had, and for no other."""
+    with torch.random.fork_rng(devices=[]):
+        if encoder == RANDOM_ENCODER:
+            return _random_backbone(levels), RANDOM_ENCODER
         try:
             return _pretrained_backbone(encoder, levels), encoder
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, KeyError, ImportError) as error:
             reason = str(error).strip().splitlines()[0]
+            if encoder != DEFAULT_ENCODER:
+                raise UserError(f"--encoder {encoder}", expected="a backbone of transformers, by hub id or folder", found=reason) from error
             logger.warning("image encoder %s cannot be had (%s): fixed random features stand in for it", encoder, reason)
-    return _random_backbone(levels), RANDOM_ENCODER
+            return _random_backbone(levels), RANDOM_ENCODER
 
 
 def _pretrained_backbone(encoder: str, levels: int) -> nn.Module:
@@ -99,6 +106,5 @@ def _random_backbone(levels: int) -> nn.Module:
         layer_type="basic",
         out_features=[f"stage{stage}" for stage in range(1, levels + 1)],
     )
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(0)
-        return ResNetBackbone(config)
+    torch.manual_seed(0)
+    return ResNetBackbone(config)

@@ -66,8 +66,10 @@ def view_of(sequence: Sequence, pixels: PixelCache, index: int, *, albedo: bool 
 
 def initial_albedo(sequence: Sequence, pixels: PixelCache, canonical: CanonicalHead, reference: torch.Tensor) -> torch.Tensor:
     """(h, w, 3) display-valued albedo texture: unwrapped pseudo-albedo where the dataset has any, else the reference image."""
-    step = max(len(sequence.train) // ALBEDO_VIEWS, 1)
-    views = [view_of(sequence, pixels, index, albedo=True) for index in sequence.train[::step] if sequence.frames[index].albedo_path]
+    with_albedo = [index for index in sequence.train if sequence.frames[index].albedo_path]
+    count = min(ALBEDO_VIEWS, len(with_albedo))
+    chosen = [with_albedo[place * len(with_albedo) // count] for place in range(count)]
+    views = [view_of(sequence, pixels, index, albedo=True) for index in chosen]
     found = [view for view in views if view is not None]
     return unwrap(found, canonical) if found else reference
 

@@ -66,7 +66,7 @@ def total_loss(
         "mask": weights.mask * (rendering.gbuffer.alpha[..., 0] - target.mask).abs().mean(),
     }
     if avatar.settings.residual:
-        terms["residual"] = weights.residual * residual_prior(rendering.motion)
+        terms["residual"] = weights.residual * residual_prior(rendering.motion, avatar.canonical.atlas.valid)
     if perceptual is not None:
         terms["lpips"] = weights.lpips * perceptual(rendering.image, target.image)
     if target.albedo is not None:
@@ -78,10 +78,11 @@ def total_loss(
     return terms
 
 
-def residual_prior(motion: Motion) -> torch.Tensor:
-    """Mean square of the residual map's position and rotation, each as a share of its limit (s_mu and pi)."""
+def residual_prior(motion: Motion, valid: torch.Tensor) -> torch.Tensor:
+    """Mean square over the (H, W) valid texels of the residual's position and rotation, each as a share of its limit (s_mu and pi)."""
     position, rotation = motion.residual_position / POSITION_LIMIT, motion.residual_rotation / torch.pi
-    return position.square().mean() + rotation.square().mean()
+    squares = (position.square() + rotation.square()).mean(dim=-1)
+    return (squares * valid).sum() / valid.sum()
 
 
 def normal_smoothness(normal: torch.Tensor, alpha: torch.Tensor) -> torch.Tensor:

@@ -83,7 +83,7 @@ def test_positions_are_interpolated_vertices(device, template, atlas, nearest):
     faces = covering_faces(atlas, nearest)
     weights = atlas.barycentrics.view(-1, 3)[nearest].double()
     expected = (weights[..., None] * vertices.double()[torch.from_numpy(template.faces)[faces].long()]).sum(dim=2)
-    assert torch.allclose(positions.double()[atlas.valid], expected[atlas.valid], atol=2e-8)  # 0.1 m times 2^-24, a few times over
+    assert torch.allclose(positions.double()[atlas.valid], expected[atlas.valid], rtol=0, atol=2e-8)  # 0.1 m times 2^-24, a few times over
     assert not positions[~atlas.valid].any()
 
 
@@ -92,7 +92,7 @@ def test_positions_follow_affine_motion(atlas, template, generator):
     matrix, shift = torch.randn(3, 3, generator=generator), torch.randn(3, generator=generator)
     moved = atlas.positions(vertices @ matrix.T + shift)
     expected = (atlas.positions(vertices) @ matrix.T + shift) * atlas.valid[..., None]
-    assert torch.allclose(moved, expected, atol=2e-6)
+    assert torch.allclose(moved, expected, rtol=0, atol=2e-6)
 
 
 @pytest.mark.parametrize("name", ["positions", "dilate"])
@@ -146,7 +146,7 @@ def test_soft_masks_by_brute_force(template, atlas, nearest):
 def test_soft_masks_share_out_what_responds(template, atlas, nearest):
     responds = torch.from_numpy(response_coverage(template))[covering_faces(atlas, nearest)] & atlas.valid
     total = atlas.soft_masks.sum(dim=0)
-    assert torch.allclose(total[responds], torch.ones(int(responds.sum())), atol=1e-6)
+    assert torch.allclose(total[responds], torch.ones(int(responds.sum())), rtol=0, atol=1e-6)
     assert not atlas.soft_masks[:, ~responds].any()
     assert bool((atlas.soft_masks >= 0).all())
     assert not atlas.soft_masks[REGIONS.index("scalp")].any(), "no mask, no response"
@@ -166,7 +166,7 @@ def test_uv_of_a_texels_face_and_weights_is_its_centre(device, atlas):
     found = atlas.to(device).uv_of(atlas.face[row, column].to(device), atlas.barycentrics[row, column].to(device)).cpu()
     expected = torch.stack([(column + 0.5) / SIZE, 1 - (row + 0.5) / SIZE], dim=1)
     # Weights are areas over an area, of faces of a few texels: some 2^-24 * 48 texels.
-    assert torch.allclose(found, expected, atol=2e-5)
+    assert torch.allclose(found, expected, rtol=0, atol=2e-5)
 
 
 def test_uv_of_corners(atlas, template):

@@ -15,7 +15,7 @@ def test_a_corner_of_a_cube(device):
     assert torch.allclose(face_areas(vertices, faces).cpu(), torch.tensor([0.5, 0.5, 0.5, math.sqrt(3) / 2], dtype=torch.float64))
     # Doubled areas times normals: -z, -y, -x, and (1, 1, 1) for the slanted face. Vertex 1 misses the face in x = 0.
     sums = torch.tensor([[-1.0, -1, -1], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=torch.float64)
-    assert torch.allclose(vertex_normals(vertices, faces).cpu(), torch.nn.functional.normalize(sums, dim=1), atol=1e-12)
+    assert torch.allclose(vertex_normals(vertices, faces).cpu(), torch.nn.functional.normalize(sums, dim=1), rtol=0, atol=1e-12)
 
 
 def test_turns_with_the_mesh_and_with_the_winding(generator):
@@ -24,14 +24,14 @@ def test_turns_with_the_mesh_and_with_the_winding(generator):
     turn = torch.linalg.qr(torch.randn(3, 3, generator=generator, dtype=torch.float64))[0]
     turn = turn * torch.linalg.det(turn)
     normals = vertex_normals(vertices, faces)
-    assert torch.allclose(vertex_normals(vertices @ turn.T + 1, faces), normals @ turn.T, atol=1e-9)
-    assert torch.allclose(vertex_normals(vertices, faces[:, [0, 2, 1]]), -normals, atol=1e-9)
+    assert torch.allclose(vertex_normals(vertices @ turn.T + 1, faces), normals @ turn.T, rtol=0, atol=1e-9)
+    assert torch.allclose(vertex_normals(vertices, faces[:, [0, 2, 1]]), -normals, rtol=0, atol=1e-9)
     assert torch.allclose(face_areas(3 * vertices @ turn.T, faces), 9 * face_areas(vertices, faces))
 
 
 def test_millimetre_faces_have_unit_normals_in_float32():
     normals = vertex_normals(1e-4 * TETRAHEDRON.float(), OUTWARD)
-    assert torch.allclose(normals.norm(dim=1), torch.ones(4), atol=1e-6)
+    assert torch.allclose(normals.norm(dim=1), torch.ones(4), rtol=0, atol=1e-6)
 
 
 def test_without_faces_no_normal(device):

@@ -93,8 +93,8 @@ def test_matches_a_chain_of_matrices(device, generator, offsets, dtype):
 def test_rest_is_the_template_with_its_shape(generator):
     model, shape = make_model(generator), make_shape(generator)
     posed = model.vertices(model.rest(), shape)
-    assert torch.allclose(posed.vertices, model.v_template + model.shapedirs[:, :, :S] @ shape, atol=1e-14)
-    assert torch.allclose(posed.joint_transforms, torch.eye(4, dtype=torch.float64).expand(5, 4, 4), atol=1e-14)
+    assert torch.allclose(posed.vertices, model.v_template + model.shapedirs[:, :, :S] @ shape, rtol=0, atol=1e-14)
+    assert torch.allclose(posed.joint_transforms, torch.eye(4, dtype=torch.float64).expand(5, 4, 4), rtol=0, atol=1e-14)
     assert (model.n_shape, model.n_expression) == (S, E)
 
 
@@ -106,8 +106,8 @@ def test_global_motion_is_rigid_about_the_root(generator):
     root = model.joint_regressor[0] @ unposed
     turn = torch.from_numpy(Rotation.from_rotvec(moved.rotation.numpy()).as_matrix())
     expected = (before.vertices - root) @ turn.T + root + moved.translation
-    assert torch.allclose(after.vertices, expected, atol=1e-13)
-    assert torch.allclose(after.in_head_frame(), before.in_head_frame(), atol=1e-13)
+    assert torch.allclose(after.vertices, expected, rtol=0, atol=1e-13)
+    assert torch.allclose(after.in_head_frame(), before.in_head_frame(), rtol=0, atol=1e-13)
 
 
 def test_the_head_frame_undoes_the_neck_but_not_the_jaw(generator):
@@ -120,9 +120,9 @@ def test_the_head_frame_undoes_the_neck_but_not_the_jaw(generator):
     rest = model.vertices(replace(parameters, rotation=zero, translation=zero, neck=zero, jaw=zero), shape).vertices
     jaw_only = model.vertices(replace(parameters, rotation=zero, translation=zero, neck=zero), shape).vertices
     found = model.vertices(parameters, shape).in_head_frame()
-    assert torch.allclose(found[:20], rest[:20], atol=1e-13)
-    assert torch.allclose(found[20:], jaw_only[20:], atol=1e-13)
-    assert not torch.allclose(found[20:], rest[20:], atol=1e-3)
+    assert torch.allclose(found[:20], rest[:20], rtol=0, atol=1e-13)
+    assert torch.allclose(found[20:], jaw_only[20:], rtol=0, atol=1e-13)
+    assert not torch.allclose(found[20:], rest[20:], rtol=0, atol=1e-3)
 
 
 def test_offsets_are_part_of_the_rest_shape(generator):
@@ -131,8 +131,8 @@ def test_offsets_are_part_of_the_rest_shape(generator):
     other = replace(model, v_template=model.v_template + parameters.static_offset + parameters.dynamic_offset)
     expected = other.vertices(replace(parameters, static_offset=None, dynamic_offset=None), shape)
     found = model.vertices(parameters, shape)
-    assert torch.allclose(found.vertices, expected.vertices, atol=1e-14)
-    assert torch.allclose(found.joint_transforms, expected.joint_transforms, atol=1e-14)
+    assert torch.allclose(found.vertices, expected.vertices, rtol=0, atol=1e-14)
+    assert torch.allclose(found.joint_transforms, expected.joint_transforms, rtol=0, atol=1e-14)
 
 
 @pytest.mark.parametrize("pose", ["random", "zero"])
@@ -153,8 +153,8 @@ def test_rotations_are_scipys(generator):
     vectors = axis * angles[:, None]
     expected = torch.from_numpy(Rotation.from_rotvec(vectors.numpy()).as_matrix())
     # Below 0.01 rad the next terms of the series are 0.01^6 / 5040 and less: 2e-16.
-    assert torch.allclose(axis_angle_to_matrix(vectors), expected, atol=1e-14)
-    assert torch.allclose(axis_angle_to_matrix(vectors.float()).double(), expected, atol=2e-6)
+    assert torch.allclose(axis_angle_to_matrix(vectors), expected, rtol=0, atol=1e-14)
+    assert torch.allclose(axis_angle_to_matrix(vectors.float()).double(), expected, rtol=0, atol=2e-6)
 
 
 @pytest.mark.parametrize("length", [0.0, 1e-5, 0.02, 3.0])

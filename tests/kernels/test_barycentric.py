@@ -45,11 +45,11 @@ def test_each_voronoi_region(device, generator, region):
     points, expected = points_in_region(triangles, REGIONS[region], generator)
     found = closest_barycentrics(points.float().to(device), triangles.float().to(device)).cpu()
     # Products of four lengths of up to 5, to 2^-24, over an area squared of at least (0.5 * 0.05 / 2)^2 in the worst triangle.
-    assert torch.allclose(found.double(), expected, atol=2e-3)
+    assert torch.allclose(found.double(), expected, rtol=0, atol=2e-3)
     assert (found.double() - expected).abs().mean() < 2e-6
     away = [index for index, corner in enumerate("abc") if corner not in REGIONS[region]]
     assert not found[:, away].any(), "what lies on a corner or an edge has weights of exactly 0"
-    assert torch.allclose(reference(points, triangles), expected, atol=1e-9)
+    assert torch.allclose(reference(points, triangles), expected, rtol=0, atol=1e-9)
 
 
 def test_nothing_of_the_triangle_is_closer(device, generator):
@@ -73,9 +73,9 @@ def test_matches_the_twin(device, generator):
     found = closest_barycentrics(points.float().to(device), triangles.float().to(device)).double().cpu()
     expected = reference(points, triangles)
     assert (found - expected).abs().mean() < 2e-6
-    assert torch.allclose(distances(points, triangles, found), distances(points, triangles, expected), atol=1e-5)
+    assert torch.allclose(distances(points, triangles, found), distances(points, triangles, expected), rtol=0, atol=1e-5)
     assert bool((found >= 0).all())
-    assert torch.allclose(found.sum(dim=1), torch.ones(len(found), dtype=torch.float64), atol=3e-7)
+    assert torch.allclose(found.sum(dim=1), torch.ones(len(found), dtype=torch.float64), rtol=0, atol=3e-7)
 
 
 def test_points_on_the_surface_keep_their_weights(device, generator):
@@ -114,9 +114,9 @@ def test_degenerate_triangles_are_segments_and_points(device, generator, name):
     found = closest_barycentrics(points.float().to(device), triangles.float().to(device)).double().cpu()
     assert bool(found.isfinite().all())
     assert bool((found >= 0).all())
-    assert torch.allclose(found.sum(dim=1), torch.ones(500, dtype=torch.float64), atol=3e-7)
+    assert torch.allclose(found.sum(dim=1), torch.ones(500, dtype=torch.float64), rtol=0, atol=3e-7)
     expected = reference(points, triangles)
-    assert torch.allclose(distances(points, triangles, found), distances(points, triangles, expected), atol=1e-5)
+    assert torch.allclose(distances(points, triangles, found), distances(points, triangles, expected), rtol=0, atol=1e-5)
 
 
 def test_needles_are_finite(device, generator):
@@ -126,7 +126,7 @@ def test_needles_are_finite(device, generator):
     points = torch.randn(2000, 3, generator=generator)
     found = closest_barycentrics(points.to(device), torch.stack([start, end, between], dim=1).to(device))
     assert bool((found >= 0).all())
-    assert torch.allclose(found.sum(dim=1), torch.ones(2000, device=device), atol=3e-7)
+    assert torch.allclose(found.sum(dim=1), torch.ones(2000, device=device), rtol=0, atol=3e-7)
 
 
 def test_same_bits_for_any_threads_and_runs(device, generator):

@@ -31,8 +31,8 @@ def test_a_known_triangle(device):
     vertices = torch.tensor([[0.0, 0.0, 0.0], [4.0, 0.0, 0.0], [1.0, 2.0, 0.0]], device=device)
     frames = triangle_frames(vertices, MeshTopology.build(torch.tensor([[0, 1, 2]], device=device), 3))
     # Columns: along the edge (+x), the normal (+z), their cross product (-y); length 4 and height 2.
-    assert torch.allclose(frames.rotation[0].cpu(), torch.tensor([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]), atol=1e-7)
-    assert torch.allclose(frames.translation[0].cpu(), torch.tensor([5 / 3, 2 / 3, 0]), atol=1e-6)
+    assert torch.allclose(frames.rotation[0].cpu(), torch.tensor([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]), rtol=0, atol=1e-7)
+    assert torch.allclose(frames.translation[0].cpu(), torch.tensor([5 / 3, 2 / 3, 0]), rtol=0, atol=1e-6)
     assert frames.scale.item() == pytest.approx(3.0, rel=1e-6)
 
 
@@ -43,7 +43,7 @@ def test_matches_the_twin_and_its_gradient(device, generator):
     found, expected = triangle_frames(leaf, topology), reference(exact, topology)
     for one, other in zip(found, expected, strict=True):
         # Lengths of 0.1 to 2^-24, directions after a division by heights above 0.02: 0.1 * 6e-8 / 0.02 = 3e-7, a few times over.
-        assert torch.allclose(one.double(), other, atol=2e-6)
+        assert torch.allclose(one.double(), other, rtol=0, atol=2e-6)
     (grad,) = torch.autograd.grad(found, leaf, weights)
     (exact_grad,) = torch.autograd.grad(expected, exact, [weight.double() for weight in weights])
     assert (grad.double() - exact_grad).norm() < 1e-5 * exact_grad.norm()
@@ -71,15 +71,15 @@ def test_rotations_are_rotations_and_follow_rigid_motion(device, generator):
     vertices, topology = make_mesh(generator, device)
     frames = triangle_frames(vertices, topology)
     r = frames.rotation.double()
-    assert torch.allclose(r.mT @ r, torch.eye(3, dtype=torch.float64, device=device).expand_as(r), atol=1e-6)
-    assert torch.allclose(torch.linalg.det(r), torch.ones(len(r), dtype=torch.float64, device=device), atol=1e-6)
+    assert torch.allclose(r.mT @ r, torch.eye(3, dtype=torch.float64, device=device).expand_as(r), rtol=0, atol=1e-6)
+    assert torch.allclose(torch.linalg.det(r), torch.ones(len(r), dtype=torch.float64, device=device), rtol=0, atol=1e-6)
 
     turn, shift = random_rotation(generator).to(device), torch.tensor([0.3, -0.2, 0.1], dtype=torch.float64, device=device)
     moved = triangle_frames((vertices.double() @ turn.T + shift).float(), topology)
     # The moved vertices are rounded to 0.5 * 2^-24: 3e-8 / 0.02 = 1.5e-6 in a direction, a few times over.
-    assert torch.allclose(moved.rotation.double(), turn @ r, atol=1e-5)
-    assert torch.allclose(moved.translation.double(), frames.translation.double() @ turn.T + shift, atol=2e-7)
-    assert torch.allclose(moved.scale, frames.scale, atol=2e-7)
+    assert torch.allclose(moved.rotation.double(), turn @ r, rtol=0, atol=1e-5)
+    assert torch.allclose(moved.translation.double(), frames.translation.double() @ turn.T + shift, rtol=0, atol=2e-7)
+    assert torch.allclose(moved.scale, frames.scale, rtol=0, atol=2e-7)
 
 
 def test_moving_the_whole_mesh_has_no_gradient_in_shape(device, generator):
@@ -110,13 +110,13 @@ def test_degenerate_triangles(device, generator, name):
     leaf, exact = corners.clone().requires_grad_(), corners.double().requires_grad_()
     found, expected = triangle_frames(leaf, topology), reference(exact, topology)
     for one, other in zip(found, expected, strict=True):
-        assert torch.allclose(one.double(), other, atol=1e-6)
+        assert torch.allclose(one.double(), other, rtol=0, atol=1e-6)
     assert torch.equal(found.rotation[0].cpu(), torch.eye(3))
     weights = make_weights(generator, device, 2)
     (grad,) = torch.autograd.grad(found, leaf, weights)
-    assert torch.allclose(grad[:3], (weights[1][0] / 3).expand(3, 3), atol=1e-6)
+    assert torch.allclose(grad[:3], (weights[1][0] / 3).expand(3, 3), rtol=0, atol=1e-6)
     (exact_grad,) = torch.autograd.grad(expected, exact, [weight.double() for weight in weights])
-    assert torch.allclose(grad.double(), exact_grad, atol=1e-5)
+    assert torch.allclose(grad.double(), exact_grad, rtol=0, atol=1e-5)
 
 
 def test_small_but_healthy_triangles_keep_their_frames(device, generator):
@@ -124,7 +124,7 @@ def test_small_but_healthy_triangles_keep_their_frames(device, generator):
     vertices, topology = make_mesh(generator, device)
     small = triangle_frames(vertices * 2.0**-20, topology)
     frames = triangle_frames(vertices, topology)
-    assert torch.allclose(small.rotation, frames.rotation, atol=1e-6)
+    assert torch.allclose(small.rotation, frames.rotation, rtol=0, atol=1e-6)
     assert torch.allclose(small.scale * 2.0**20, frames.scale, rtol=1e-5)
 
 
