@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
-import OpenImageIO as oiio
+import OpenImageIO
 
 README = Path(__file__).parents[1] / "README.md"
 
@@ -18,7 +18,7 @@ def python_blocks() -> list[str]:
 
 def write_hdr(path: Path) -> None:
     pixels = np.linspace(0.1, 2.0, 16 * 32 * 3, dtype=np.float32).reshape(16, 32, 3)
-    assert oiio.ImageBuf(pixels).write(str(path))
+    assert OpenImageIO.ImageBuf(pixels).write(str(path))
 
 
 def test_the_example_writes_its_picture(tiny_run, tmp_path):

@@ -21,7 +21,6 @@ from samira_warp.avatar.storage import find_avatar
 from samira_warp.cli import run
 from samira_warp.errors import UserError
 from samira_warp.head import FrameParameters
-from samira_warp.light import encode_srgb
 
 SH_DEGREE_0 = 0.28209479177387814
 """The constant spherical harmonic, 1 / (2 sqrt(pi)): viewers show 0.5 + SH_DEGREE_0 * f_dc."""
@@ -64,8 +63,7 @@ def main(config: ExportConfig) -> None:
 def splat_columns(avatar: Avatar, parameters: FrameParameters) -> dict[str, np.ndarray]:
     """The columns of a 3DGS file in their order, each (N,)."""
     moved = avatar.move(parameters).gaussians
-    albedo = avatar.gaussians.albedo
-    display = encode_srgb(albedo) if avatar.settings.color_space == "srgb" else albedo
+    display = avatar.display_albedo(avatar.gaussians.albedo)
     zeros = torch.zeros(len(moved.means), SH_REST)
     groups = {
         ("x", "y", "z"): moved.means,

@@ -15,7 +15,7 @@ from samira_warp.avatar.gaussians import Gaussians
 from samira_warp.avatar.gbuffer import GBuffer, SurfaceAttributes, render_gbuffer
 from samira_warp.avatar.residual import axis_angle_to_quaternion, limit_residual, quaternion_product
 from samira_warp.avatar.response import response_factors, response_map
-from samira_warp.avatar.storage import DESCRIPTION_FILE, TENSORS_FILE, find_avatar, read_avatar, write_avatar
+from samira_warp.avatar.storage import DESCRIPTION_FILE, TENSORS_FILE, StoredAvatar, find_avatar, read_avatar, write_avatar
 from samira_warp.camera import Camera
 from samira_warp.constants import COVERED_ALPHA
 from samira_warp.errors import UserError
@@ -23,7 +23,7 @@ from samira_warp.head import REGIONS, FrameParameters, PosedHead, UvAtlas
 from samira_warp.kernels.binding import BoundGaussians, FaceBinding, bind
 from samira_warp.kernels.gather import GatherTable, bilinear_table, gather
 from samira_warp.kernels.triangle_frames import triangle_frames
-from samira_warp.light import Environment, FilteredLight, LearnableLight, Shaded, compose, shade
+from samira_warp.light import Environment, FilteredLight, LearnableLight, Shaded, compose, encode_srgb, shade
 from samira_warp.nets import Conditions, ConditionStatistics, MotionNetwork, MotionSettings
 
 DISPLACEMENT_UNIT = 0.01
@@ -82,6 +82,7 @@ class Rendering:
         irradiance: (H, W, 3) L_d, linear.
         specular_light: (H, W, 3) L_s, linear.
         motion: The Gaussians behind the G-buffer.
+        albedo: (H, W, 3) display values of the G-buffer's albedo.
     """
 
     image: torch.Tensor
@@ -89,6 +90,7 @@ class Rendering:
     irradiance: torch.Tensor
     specular_light: torch.Tensor
     motion: Motion
+    albedo: torch.Tensor
 
 
 class Avatar(nn.Module):
@@ -194,15 +196,19 @@ class Avatar(nn.Module):
         """Render one frame.
 
         Args:
-            parameters: The head's pose and expression.
-            camera: The view.
-            environment: The light; None is the learned capture light. Filter an environment once (`Environment.filtered`) to reuse it.
+            parameters: The head's pose and expression, on any device.
+            camera: The view, on any device.
+            environment: The light, on any device; None is the learned capture light. To reuse an environment, filter it once
+                (`Environment.filtered`).
             background: Display values behind the head: a number or (H, W, 3).
             exposure: Factor on the shaded linear colour.
         """
-        motion = self.move(parameters)
+        device = self.gaussians.means.device
+        camera = camera.to(device)
+        motion = self.move(parameters.to(device))
         gbuffer = self.rasterize(motion, camera)
-        light = environment.filtered() if isinstance(environment, Environment) else environment or self.light()
+        light = environment.filtered() if isinstance(environment, Environment) else environment
+        light = self.light() if light is None else light.to(device)
         return self.shade(motion, gbuffer, camera, light, background=background, exposure=exposure)
 
     def shade(
@@ -220,7 +226,11 @@ class Avatar(nn.Module):
         covered = gbuffer.alpha >= COVERED_ALPHA
         color = torch.where(covered, shaded.color, torch.zeros_like(shaded.color))
         image = compose(color, gbuffer.alpha, background, exposure=exposure, color_space=self.settings.color_space)
-        return Rendering(image, gbuffer, shaded.irradiance, shaded.specular_light, motion)
+        return Rendering(image, gbuffer, shaded.irradiance, shaded.specular_light, motion, self.display_albedo(gbuffer.albedo))
+
+    def display_albedo(self, albedo: torch.Tensor) -> torch.Tensor:
+        """Albedo as a picture: sRGB-encoded where shading is linear, as it is where shading works in image values."""
+        return encode_srgb(albedo) if self.settings.color_space == "srgb" else albedo
 
     def save(self, folder: Path, *, record: dict[str, Any]) -> None:
         """Write the avatar's files into an existing folder: all that rendering needs, no pickle.
@@ -244,6 +254,15 @@ class Avatar(nn.Module):
         """
         folder = find_avatar(Path(path))
         stored = read_avatar(folder, device="cpu")
+        try:
+            return cls._from_stored(stored).to(device)
+        except (KeyError, TypeError, RuntimeError) as error:
+            misfit = str(error).splitlines()[-1].strip()
+            raise UserError(folder / TENSORS_FILE, expected=f"tensors as {DESCRIPTION_FILE} describes them", found=misfit) from error
+
+    @classmethod
+    def _from_stored(cls, stored: StoredAvatar) -> Avatar:
+        """The avatar on the CPU; a description or tensors that do not fit raise whatever they raise."""
         settings = AvatarSettings(**{**stored.settings, "motion": MotionSettings(**stored.settings["motion"])})
         tensors = dict(stored.tensors)
         canonical = CanonicalHead.build(
@@ -259,12 +278,8 @@ class Avatar(nn.Module):
             statistics=ConditionStatistics(expression_size=stored.template.n_expression, pose_size=POSE_SIZE),
             light=LearnableLight(torch.ones(3)),
         )
-        try:
-            avatar.load_state_dict(tensors)
-        except RuntimeError as error:
-            misfit = str(error).splitlines()[1]
-            raise UserError(folder / TENSORS_FILE, expected=f"tensors as {DESCRIPTION_FILE} describes them", found=misfit) from error
-        return avatar.to(device)
+        avatar.load_state_dict(tensors)
+        return avatar
 
 
 def conditions_of(parameters: FrameParameters) -> Conditions:

@@ -58,8 +58,8 @@ class CanonicalHead:
         return replace(self, **moved, static_offset=None if self.static_offset is None else self.static_offset.to(device))
 
     def pose(self, parameters: FrameParameters) -> PosedHead:
-        """The posed mesh M_t."""
-        return self.model.vertices(parameters, self.shape)
+        """The posed mesh M_t, with the subject's own shape and static offset, whatever offset the parameters came with."""
+        return self.model.vertices(replace(parameters, static_offset=self.static_offset), self.shape)
 
     def displacement(self, head: PosedHead, *, in_head: bool) -> torch.Tensor:
         """D_uv (H, W, 3) in metres (Eq. uv_displacement).

@@ -17,7 +17,7 @@ from samira_warp.head import FrameParameters
 FRAMES_FILE = "frames.safetensors"
 
 FIELDS = ("translation", "rotation", "neck", "jaw", "eyes", "expression")
-"""What is stored of a frame's parameters; offsets are the avatar's own."""
+"""What is stored of every frame's parameters, beside its dynamic offset where it has one; the static offset is the avatar's own."""
 
 
 class DrivingFrame(NamedTuple):
@@ -39,6 +39,8 @@ class DrivingFrame(NamedTuple):
 def write_frames(folder: Path, frames: list[DrivingFrame]) -> None:
     """Write frames into an existing avatar folder."""
     tensors = {name: torch.stack([getattr(frame.parameters, name).detach().cpu() for frame in frames]) for name in FIELDS}
+    if all(frame.parameters.dynamic_offset is not None for frame in frames):
+        tensors["dynamic_offset"] = torch.stack([frame.parameters.dynamic_offset.cpu() for frame in frames])
     cameras = [frame.camera for frame in frames]
     tensors["world_to_camera"] = torch.stack([camera.world_to_camera.cpu() for camera in cameras])
     intrinsics = [[camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height] for camera in cameras]
@@ -58,12 +60,15 @@ def read_frames(folder: str | Path) -> list[DrivingFrame]:
         with safe_open(path, framework="pt") as file:
             metadata: dict[str, Any] = file.metadata() or {}
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - no mapping
-    except (OSError, SafetensorError) as error:
+        names, parts = metadata["names"].split("\n"), metadata["parts"].split("\n")
+        return [_frame(name, part, tensors, row) for row, (name, part) in enumerate(zip(names, parts, strict=True))]
+    except (OSError, SafetensorError, KeyError, ValueError, IndexError) as error:
         raise UserError(path, expected="the avatar's frames", found=error) from error
-    names, parts = metadata["names"].split("\n"), metadata["parts"].split("\n")
-    frames = []
-    for row, (name, part) in enumerate(zip(names, parts, strict=True)):
-        fx, fy, cx, cy, width, height = tensors["intrinsics"][row].tolist()
-        camera = Camera(tensors["world_to_camera"][row], fx, fy, cx, cy, int(width), int(height))
-        frames.append(DrivingFrame(name, FrameParameters(**{field: tensors[field][row] for field in FIELDS}), camera, part))
-    return frames
+
+
+def _frame(name: str, part: str, tensors: dict[str, torch.Tensor], row: int) -> DrivingFrame:
+    fx, fy, cx, cy, width, height = tensors["intrinsics"][row].tolist()
+    camera = Camera(tensors["world_to_camera"][row], fx, fy, cx, cy, int(width), int(height))
+    dynamic = tensors["dynamic_offset"][row] if "dynamic_offset" in tensors else None
+    parameters = FrameParameters(**{field: tensors[field][row] for field in FIELDS}, dynamic_offset=dynamic)
+    return DrivingFrame(name, parameters, camera, part)

@@ -7,11 +7,10 @@ import sys
 from dataclasses import dataclass
 from typing import Literal
 
-import torch
 import tyro
 
 from samira_warp.cli import run
-from samira_warp.errors import UserError
+from samira_warp.devices import DeviceName, pick_device
 
 
 @dataclass(frozen=True)
@@ -20,7 +19,7 @@ class BenchConfig:
 
     what: tyro.conf.Positional[Literal["raster", "light", "avatar", "train"]]
     """raster: kernels against plain ones; light: filtering; avatar: a frame by stage; train: a step by stage."""
-    device: Literal["auto", "cpu", "cuda"] = "auto"
+    device: DeviceName = "auto"
     """Where to compute."""
     json: bool = False
     """Print JSON instead of a table."""
@@ -28,10 +27,7 @@ class BenchConfig:
 
 def main(config: BenchConfig) -> None:
     """Run one benchmark."""
-    gpu = torch.cuda.is_available()
-    if config.device == "cuda" and not gpu:
-        raise UserError("--device cuda", expected="a CUDA device that torch can use", found="none")
-    device = "cuda" if config.device != "cpu" and gpu else "cpu"
+    device = str(pick_device(config.device))
     importlib.import_module(f"samira_warp.bench.{config.what}").main(device, config.json)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json as json_format
 
 import torch
@@ -18,7 +19,7 @@ def measure(device: torch.device, *, size: int) -> dict[str, object]:
     avatar, camera = make_avatar("cpu", device=device), make_camera(size).to(device)
     light = avatar.light()
     stages = Stages(device)
-    frames = iter(range(1_000_000))
+    frames = itertools.count()
 
     def frame() -> None:
         parameters = make_parameters(next(frames)).to(device)

@@ -35,7 +35,7 @@ class Stages:
         self._samples.setdefault(name, []).append(1e3 * (time.perf_counter() - begin))
 
     def medians(self) -> dict[str, float]:
-        """Median milliseconds of every stage, without the warm-up runs, and their ``total``."""
+        """Median milliseconds of every stage, without the warm-up runs, and their sum as ``total``."""
         medians = {name: statistics.median(samples[WARM_UP:]) for name, samples in self._samples.items()}
         return {**medians, "total": sum(medians.values())}
 

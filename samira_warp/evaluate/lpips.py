@@ -124,7 +124,7 @@ class Lpips(nn.Module):
 
     def _features(self, image: torch.Tensor) -> list[torch.Tensor]:
         """The tapped levels of one image, (1, C, h, w) each."""
-        x = ((2.0 * image.permute(2, 0, 1) - 1.0 - self.shift) / self.scale)[None]
+        x = ((2.0 * image.to(self.shift.device).permute(2, 0, 1) - 1.0 - self.shift) / self.scale)[None]
         levels = []
         for convolution in self.convolutions:
             if convolution.pool:

@@ -1,7 +1,7 @@
 """Warp kernels and the torch operators over them; nothing in here knows what a face is.
 
-Each operator is differentiable where its docstring says so, has a hand-written adjoint without atomics, and a twin of the same name in
-`samira_warp.reference`.
+Each operator is differentiable where its docstring says so and has a hand-written adjoint without atomics; `samira_warp.reference` has the
+same mathematics in plain torch.
 """
 
 from samira_warp.kernels.barycentric import closest_barycentrics

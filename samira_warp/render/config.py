@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
+from samira_warp.devices import DeviceName
 from samira_warp.errors import UserError
 from samira_warp.render.layers import Layer
 
@@ -20,8 +20,8 @@ class RenderConfig:
     """Output folder; images go to OUT/LAYER/NAME.png."""
     data: Path | None = None
     """Sequence that drives the avatar; default its own frames. Another person's sequence is cross-reenactment."""
-    split: str = "test"
-    """Frames of the sequence: train or test, a fraction, or last:N."""
+    split: str | None = None
+    """Frames of the sequence: train or test, a fraction, or last:N; default the test part of the split that the avatar was trained with."""
     frames: str | None = None
     """Of those frames, A:B:STEP as Python slices them."""
     env: Path | None = None
@@ -40,7 +40,7 @@ class RenderConfig:
     """Also write OUT/LAYER.mp4."""
     fps: float = 25.0
     """Frames per second of the video."""
-    device: Literal["auto", "cpu", "cuda"] = "auto"
+    device: DeviceName = "auto"
     """Where to compute."""
 
 

@@ -57,7 +57,7 @@ def layer_image(rendering: Rendering, layer: Layer) -> LayerImage:
     if layer == "alpha":
         return LayerImage(alpha)
     if layer == "albedo":
-        return LayerImage(_on(1.0, encode_srgb(g.albedo), alpha))
+        return LayerImage(_on(1.0, rendering.albedo, alpha))
     if layer == "normal":
         return LayerImage(_on(0.5, 0.5 * (g.normal + 1.0), alpha))
     if layer in ("roughness", "specular"):

@@ -13,10 +13,12 @@ import torch
 from tqdm import tqdm
 
 from samira_warp.avatar import Avatar, DrivingFrame, read_frames
-from samira_warp.avatar.storage import find_avatar
+from samira_warp.avatar.storage import DESCRIPTION_FILE, TEMPLATE_FILE, find_avatar
 from samira_warp.camera import Camera
 from samira_warp.data import open_sequence
+from samira_warp.devices import pick_device
 from samira_warp.errors import UserError
+from samira_warp.files import read_json
 from samira_warp.images import read_image, resize_box, to_uint8, write_exr, write_png
 from samira_warp.light import Environment, encode_srgb
 from samira_warp.render.config import RenderConfig, parse_frames
@@ -37,7 +39,7 @@ def render(config: RenderConfig) -> int:
         UserError: The avatar, the sequence, the light or an option cannot be used.
     """
     _check_numbers(config)
-    device = _device(config.device)
+    device = pick_device(config.device)
     folder = find_avatar(config.avatar)
     avatar = Avatar.load(folder, device=device)
     frames = _select(config, avatar, folder)
@@ -54,7 +56,7 @@ def render(config: RenderConfig) -> int:
         }
         for frame in tqdm(frames, unit="frame", dynamic_ncols=True):
             camera = frame.camera.to(device)
-            rendering = avatar.render(frame.parameters.to(device), camera, light, background=background.behind(camera))
+            rendering = avatar.render(frame.parameters, camera, light, background=background.behind(camera))
             for layer in config.layers:
                 picture = _write(config.out / layer, frame.name, layer_image(rendering, layer))
                 if layer in videos:
@@ -74,41 +76,38 @@ def _check_numbers(config: RenderConfig) -> None:
             raise UserError(f"--{name}", expected=expected, found=getattr(config, name))
 
 
-def _device(name: str) -> torch.device:
-    gpu = torch.cuda.is_available()
-    if name == "cuda" and not gpu:
-        raise UserError("--device cuda", expected="a CUDA device that torch can use", found="none")
-    return torch.device("cuda" if name != "cpu" and gpu else "cpu")
-
-
 def _select(config: RenderConfig, avatar: Avatar, folder: Path) -> list[DrivingFrame]:
     """The frames to render, at the size to render them."""
-    wanted = parse_frames(config.frames)
-    if config.data is None:
-        if config.split not in ("train", "test"):
-            raise UserError("--split", expected="train or test of the avatar's own frames, or --data DIR", found=repr(config.split))
-        frames = [frame for frame in read_frames(folder) if frame.part == config.split]
-    else:
-        frames = list(_driven(config, avatar))
+    wanted, own = parse_frames(config.frames), read_frames(folder)
+    frames = list(_own(config, own) if config.data is None else _driven(config, avatar, folder))
     chosen = frames[wanted]
     if not chosen:
         raise UserError("--frames", expected=f"some of the {len(frames)} frames", found=f"none in {config.frames or 'the split'}")
-    own = read_frames(folder)[0].camera
-    longer = config.resolution or max(own.width, own.height)
+    longer = config.resolution or max(own[0].camera.width, own[0].camera.height)
     return [frame._replace(camera=_at_size(frame.camera, longer)) for frame in chosen]
 
 
-def _driven(config: RenderConfig, avatar: Avatar) -> Iterator[DrivingFrame]:
+def _own(config: RenderConfig, frames: list[DrivingFrame]) -> Iterator[DrivingFrame]:
+    """The frames that are stored with the avatar."""
+    part = config.split or "test"
+    if part not in ("train", "test"):
+        raise UserError("--split", expected="train or test of the avatar's own frames, or --data DIR", found=repr(part))
+    return (frame for frame in frames if frame.part == part)
+
+
+def _driven(config: RenderConfig, avatar: Avatar, folder: Path) -> Iterator[DrivingFrame]:
     """Frames of another sequence: its pose and expression, the avatar's own shape and static offset."""
-    sequence = open_sequence(config.data, split=config.split)
+    record = read_json(folder / DESCRIPTION_FILE)["record"]
+    trained_on = record.get("subject") == config.data.resolve().name
+    split = config.split or (record["split"] if trained_on else "dataset")
+    sequence = open_sequence(config.data, split=split, flame=folder / TEMPLATE_FILE)
     own = avatar.canonical.template
     if sequence.template.hash != own.hash:
         raise UserError(sequence.template_path, expected=f"the avatar's head template ({own.hash[:12]})", found=sequence.template.hash[:12])
     same_person = torch.equal(sequence.shape, avatar.canonical.shape.cpu())
     for index in sequence.selected:
         frame = sequence.frames[index]
-        dynamic = frame.parameters.dynamic_offset if same_person else None
-        parameters = replace(frame.parameters, static_offset=None, dynamic_offset=dynamic)
+        parameters = frame.parameters if same_person else replace(frame.parameters, dynamic_offset=None)
         yield DrivingFrame(frame.name, parameters, frame.camera, sequence.split.part)
 
 
@@ -120,6 +119,8 @@ def _at_size(camera: Camera, longer: int) -> Camera:
 def _environment(config: RenderConfig, avatar: Avatar) -> Environment:
     if config.env is not None:
         return Environment.load(config.env, rotate=config.rotate, exposure=config.exposure)
+    if config.rotate != 0.0:
+        raise UserError("--rotate", expected="--env FILE, the map to turn", found="the learned light, which stays where it was captured")
     learned = avatar.light.environment()
     return Environment.from_cubemaps(learned.diffuse * config.exposure, learned.specular * config.exposure)
 

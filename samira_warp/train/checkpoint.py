@@ -43,7 +43,10 @@ class TrainingState(NamedTuple):
 
 
 def save_checkpoint(folder: Path, state: TrainingState, *, record: dict) -> Path:
-    """Write ``folder``/step_NNNNNN and drop older checkpoints; a failure or an interrupt leaves the previous ones whole."""
+    """Write ``folder``/step_NNNNNN, then drop older checkpoints and what a killed process left of one.
+
+    A failure or an interrupt leaves the previous ones whole.
+    """
     target = folder / f"step_{state.step:06d}"
 
     def write(fresh: Path) -> None:
@@ -52,7 +55,7 @@ def save_checkpoint(folder: Path, state: TrainingState, *, record: dict) -> Path
         (fresh / STEP_FILE).write_text(json.dumps({"step": state.step}), encoding="utf-8")
 
     replace_folder(target, write)
-    for old in _checkpoints(folder)[:-KEPT]:
+    for old in [*_checkpoints(folder)[:-KEPT], *folder.glob(".step_*")]:
         shutil.rmtree(old)
     return target
 
@@ -106,4 +109,5 @@ def _training_tensors(state: TrainingState) -> dict[str, torch.Tensor]:
 
 def _checkpoints(folder: Path) -> list[Path]:
     """Whole checkpoints, oldest first."""
-    return sorted(path for path in folder.glob("step_*") if (path / STEP_FILE).is_file())
+    whole = (path for path in folder.glob("step_*") if (path / STEP_FILE).is_file())
+    return sorted(whole, key=lambda path: int(path.name.removeprefix("step_")))

@@ -7,6 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
+from samira_warp.devices import DeviceName
+
 Ablation = Literal[
     "no-residual",
     "no-routing",
@@ -65,7 +67,7 @@ class TrainConfig:
     """Stop after so many steps; all schedules follow the steps that will be run."""
     resolution: int | None = None
     """Image width and height in pixels; default the preset's."""
-    device: Literal["auto", "cpu", "cuda"] = "auto"
+    device: DeviceName = "auto"
     """Where to compute; auto takes a GPU where there is one."""
     seed: int = 42
     """Seed of every random choice."""

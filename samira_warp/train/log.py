@@ -12,6 +12,7 @@ from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
 from samira_warp.avatar import Rendering
+from samira_warp.files import replace_file
 from samira_warp.images import write_png
 from samira_warp.light import encode_srgb
 
@@ -81,8 +82,7 @@ def preview_grid(rendering: Rendering, truth: torch.Tensor) -> np.ndarray:
     alpha = gbuffer.alpha
     panels = [rendering.image, truth]
     panels += [
-        alpha * panel + (1.0 - alpha)
-        for panel in (encode_srgb(gbuffer.albedo), 0.5 * (gbuffer.normal + 1.0), encode_srgb(rendering.specular_light))
+        alpha * panel + (1.0 - alpha) for panel in (rendering.albedo, 0.5 * (gbuffer.normal + 1.0), encode_srgb(rendering.specular_light))
     ]
     return torch.cat(panels, dim=1).clamp(0.0, 1.0).detach().cpu().numpy()
 
@@ -92,4 +92,4 @@ def _drop_lines_after(path: Path, step: int) -> None:
     if not path.exists():
         return
     lines = [line for line in path.read_text(encoding="utf-8").splitlines() if line.endswith("}") and json.loads(line)["step"] <= step]
-    path.write_text("".join(line + "\n" for line in lines), encoding="utf-8")
+    replace_file(path, "".join(line + "\n" for line in lines))

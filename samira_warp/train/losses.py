@@ -28,12 +28,12 @@ class Target(NamedTuple):
 
     Attributes:
         image: (H, W, 3) display values on white.
-        mask: (H, W) matte, 0..1.
-        albedo: (H, W, 3) linear pseudo-albedo, or None.
+        mask: (H, W) matte, 0..1, or None where the frame has none: nothing is said of coverage then.
+        albedo: (H, W, 3) linear pseudo-albedo, or None; it wants a mask.
     """
 
     image: torch.Tensor
-    mask: torch.Tensor
+    mask: torch.Tensor | None
     albedo: torch.Tensor | None
 
 
@@ -63,8 +63,9 @@ def total_loss(
     terms = {
         "l1": (1.0 - weights.ssim) * (prediction - truth).abs().mean(),
         "ssim": weights.ssim * (1.0 - kornia.metrics.ssim(prediction, truth, SSIM_WINDOW).mean()),
-        "mask": weights.mask * (rendering.gbuffer.alpha[..., 0] - target.mask).abs().mean(),
     }
+    if target.mask is not None:
+        terms["mask"] = weights.mask * (rendering.gbuffer.alpha[..., 0] - target.mask).abs().mean()
     if avatar.settings.residual:
         terms["residual"] = weights.residual * residual_prior(rendering.motion, avatar.canonical.atlas.valid)
     if perceptual is not None:

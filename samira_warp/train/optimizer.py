@@ -34,6 +34,16 @@ def set_rates(optimizer: torch.optim.Adam, *, step: int, steps: int) -> None:
         group["lr"] = learning_rate(group["name"], step=step, steps=steps)
 
 
+def reset_moments(optimizer: torch.optim.Adam, group_name: str) -> None:
+    """Forget the moments of one group: its values were changed by something other than their gradients."""
+    for group in optimizer.param_groups:
+        if group["name"] == group_name:
+            for parameter in group["params"]:
+                for moment in ("exp_avg", "exp_avg_sq"):
+                    if moment in optimizer.state[parameter]:
+                        optimizer.state[parameter][moment].zero_()
+
+
 def replace_gaussians(optimizer: torch.optim.Adam, old: Gaussians, new: Gaussians, kept: torch.Tensor) -> None:
     """Put new Gaussians in the optimiser, with the moments of those that stay and zero moments for those that are new.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 
@@ -13,16 +13,20 @@ from samira_warp.avatar import Avatar, DrivingFrame, write_frames
 from samira_warp.data import PixelCache, Sequence, open_sequence
 from samira_warp.errors import UserError
 from samira_warp.evaluate import ImagePair, evaluate_images, find_lpips
-from samira_warp.evaluate.lpips import Lpips
+from samira_warp.evaluate.lpips import SMALLEST_IMAGE, Lpips
 from samira_warp.files import read_json, replace_file, replace_folder
 from samira_warp.images import to_uint8
 from samira_warp.train.checkpoint import last_checkpoint
 from samira_warp.train.config import PRESETS, Schedule, TrainConfig
-from samira_warp.train.setup import PIXEL_CACHE_BYTES, image_size, plain_settings, resolve, run_record, start
+from samira_warp.train.losses import SSIM_WINDOW
+from samira_warp.train.setup import PIXEL_CACHE_BYTES, image_size, resolve, run_facts, start
 from samira_warp.train.trainer import Trainer
 
 FREE_ON_RESUME = ("resume", "data", "out", "device", "checkpoint_every", "preview_every", "lpips_weights")
 """Settings that may differ when a run goes on: they say where things are, not what is computed."""
+
+RECORDED_ONLY = ("settings", "versions", "subject")
+"""Facts that are written down but may differ when a run goes on; settings are compared one by one."""
 
 TRAINING_LPIPS = {"cpu": "alex", "paper": "vgg"}
 """VGG at 256 x 256 is 120 GFLOP a step, too much for two cores."""
@@ -41,27 +45,33 @@ def train(config: TrainConfig) -> Path | None:
     """
     config = resolve(config)
     sequence = open_sequence(config.data, split=config.split, flame=config.flame)
-    perceptual = find_lpips(TRAINING_LPIPS[config.preset], config.lpips_weights)
+    size = image_size(sequence, config.resolution)
+    perceptual = _perceptual(config, size)
     steps = min(config.epochs * len(sequence.train), config.max_steps or sys.maxsize)
-    checkpoint = _checkpoint_to_resume(config)
-    width, height = image_size(sequence, config.resolution)
-    with PixelCache(sequence.frames, width=width, height=height, max_bytes=PIXEL_CACHE_BYTES) as pixels:
-        begun = start(config, sequence, pixels, steps=steps)
-        record = run_record(config, sequence, begun, steps=steps)
+    facts = run_facts(config, sequence, steps=steps, perceptual=isinstance(perceptual, Lpips))
+    resumed = _resumable(config, facts) if config.resume else None
+    if resumed is None:
+        _refuse_to_overwrite(config.out)
+    with PixelCache(sequence.frames, width=size[0], height=size[1], max_bytes=PIXEL_CACHE_BYTES) as pixels:
+        if resumed is None:
+            begun = start(config, sequence, pixels, steps=steps)
+            avatar, record = begun.avatar, {**facts, "reference_frame": begun.reference, "encoder": begun.encoder}
+        else:
+            avatar, record = Avatar.load(resumed.checkpoint, device=config.device), resumed.record
         trainer = Trainer(
             config,
             sequence,
             pixels,
-            begun.avatar if checkpoint is None else Avatar.load(checkpoint, device=config.device),
-            size=(width, height),
+            avatar,
+            size=size,
             schedule=Schedule(steps),
             perceptual=perceptual.to(config.device) if isinstance(perceptual, Lpips) else None,
             cap=max(PRESETS[config.preset].gaussian_cap, config.gaussians),
         )
-        if checkpoint is not None:
-            trainer.resume(checkpoint)
+        if resumed is not None:
+            trainer.resume(resumed.checkpoint)
         config.out.mkdir(parents=True, exist_ok=True)
-        _announce(sequence, begun.encoder, perceptual, config)
+        _announce(sequence, record["encoder"], perceptual, config)
         replace_file(config.out / "config.json", json.dumps(record, indent=1))
         if not trainer.run(config.out, record=record):
             print(f"stopped at step {trainer.step} of {steps}; go on with the same command and --resume", file=sys.stderr)
@@ -109,27 +119,53 @@ def _write_result(folder: Path, trainer: Trainer, record: dict[str, Any]) -> Non
     write_frames(folder, driving)
 
 
-def _checkpoint_to_resume(config: TrainConfig) -> Path | None:
-    """The checkpoint to go on from, or None for a new run.
+class _Resumed(NamedTuple):
+    """Where a run goes on.
+
+    Attributes:
+        checkpoint: Its last checkpoint.
+        record: How it was made, as config.json has it.
+    """
+
+    checkpoint: Path
+    record: dict[str, Any]
+
+
+def _resumable(config: TrainConfig, facts: dict[str, Any]) -> _Resumed:
+    """The run to go on with.
 
     Raises:
-        UserError: There is no checkpoint to resume, its settings are others, or a run would be overwritten.
+        UserError: There is no checkpoint, or the settings or the data are not those that the run was begun with.
     """
-    folder = config.out / "checkpoints"
-    if not config.resume:
-        if any(folder.glob("step_*")):
-            raise UserError(
-                config.out, expected="a new run folder, or --resume to go on with the run there", found="a run with checkpoints"
-            )
-        return None
-    checkpoint = last_checkpoint(folder)
-    then = read_json(config.out / "config.json")["settings"]
-    now = json.loads(json.dumps(plain_settings(config)))
-    for name, value in now.items():
-        if name not in FREE_ON_RESUME and then.get(name) != value:
-            option = f"--{name.replace('_', '-')}"
-            raise UserError(f"{config.out}: {option}", expected=f"{then.get(name)} as the run was begun", found=value)
-    return checkpoint
+    checkpoint = last_checkpoint(config.out / "checkpoints")
+    record = read_json(config.out / "config.json")
+    now = json.loads(json.dumps(facts))
+    compared = {name: value for name, value in now["settings"].items() if name not in FREE_ON_RESUME}
+    found = {f"--{name.replace('_', '-')}": (record.get("settings", {}).get(name), value) for name, value in compared.items()}
+    found |= {name: (record.get(name), value) for name, value in now.items() if name not in RECORDED_ONLY}
+    for name, (then, value) in found.items():
+        if then != value:
+            raise UserError(f"{config.out}: {name}", expected=f"{then} as the run was begun", found=value)
+    return _Resumed(checkpoint, record)
+
+
+def _refuse_to_overwrite(folder: Path) -> None:
+    if any((folder / "checkpoints").glob("step_*")):
+        raise UserError(folder, expected="a new folder, or --resume to go on with the run there", found="a run")
+
+
+def _perceptual(config: TrainConfig, size: tuple[int, int]) -> Lpips | str:
+    """LPIPS, or why there is none.
+
+    Raises:
+        UserError: The images are too small for SSIM.
+    """
+    if min(size) < SSIM_WINDOW:
+        expected = f"images of at least {SSIM_WINDOW} pixels a side"
+        raise UserError(f"--resolution {config.resolution}", expected=expected, found=f"{size[0]} x {size[1]}")
+    if min(size) < SMALLEST_IMAGE:
+        return f"images are smaller than {SMALLEST_IMAGE} pixels"
+    return find_lpips(TRAINING_LPIPS[config.preset], config.lpips_weights)
 
 
 def _announce(sequence: Sequence, encoder: str, perceptual: Lpips | str, config: TrainConfig) -> None:

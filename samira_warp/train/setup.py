@@ -12,6 +12,7 @@ import torch
 
 from samira_warp.avatar import Avatar, AvatarSettings, CanonicalHead
 from samira_warp.data import PixelCache, Sequence
+from samira_warp.devices import pick_device
 from samira_warp.errors import UserError
 from samira_warp.light import LearnableLight, decode_srgb
 from samira_warp.nets import MotionSettings, encode_reference
@@ -47,10 +48,7 @@ def resolve(config: TrainConfig) -> TrainConfig:
     Raises:
         UserError: A value is out of range, or a GPU is asked for where there is none.
     """
-    gpu = torch.cuda.is_available()
-    if config.device == "cuda" and not gpu:
-        raise UserError("--device cuda", expected="a CUDA device that torch can use", found="none")
-    device = ("cuda" if gpu else "cpu") if config.device == "auto" else config.device
+    device = pick_device(config.device).type
     preset = config.preset or ("paper" if device == "cuda" else "cpu")
     sizes = PRESETS[preset]
     config = replace(
@@ -151,8 +149,8 @@ def plain_settings(config: TrainConfig) -> dict[str, Any]:
     return {name: str(value) if isinstance(value, Path) else value for name, value in asdict(config).items()}
 
 
-def run_record(config: TrainConfig, sequence: Sequence, begun: Start, *, steps: int) -> dict[str, Any]:
-    """How a run was made: every setting, versions and hashes, as plain JSON values."""
+def run_facts(config: TrainConfig, sequence: Sequence, *, steps: int, perceptual: bool) -> dict[str, Any]:
+    """How a run is made: every setting, what it trains on, versions and threads, as plain JSON values."""
     packages = ("samira-warp", "torch", "warp-lang", "numpy", "kornia", "transformers")
     return {
         "subject": sequence.root.resolve().name,
@@ -161,8 +159,7 @@ def run_record(config: TrainConfig, sequence: Sequence, begun: Start, *, steps: 
         "steps": steps,
         "train_frames": len(sequence.train),
         "test_frames": len(sequence.test),
-        "reference_frame": begun.reference,
-        "encoder": begun.encoder,
+        "perceptual": perceptual,
         "template_hash": sequence.template.hash,
         "versions": {"python": platform.python_version(), **{name: version(name) for name in packages}},
         "torch_threads": torch.get_num_threads(),

@@ -19,7 +19,7 @@ from samira_warp.train.density import DensityStatistics, control_density, reset_
 from samira_warp.train.interrupt import StopRequest
 from samira_warp.train.log import RunLog
 from samira_warp.train.losses import Target, linear_albedo, total_loss
-from samira_warp.train.optimizer import make_optimizer, replace_gaussians, set_rates
+from samira_warp.train.optimizer import make_optimizer, replace_gaussians, reset_moments, set_rates
 from samira_warp.train.setup import loss_weights
 from samira_warp.train.tracking import TrackedParameters
 
@@ -123,10 +123,12 @@ class Trainer:
 
     def _target(self, row: int) -> tuple[Frame, Target]:
         index = self.sequence.train[row]
-        content = self.pixels[index].to(self.device)
-        wanted = content.albedo is not None and self.weights.albedo > 0.0
+        content = self.pixels[index]
+        matted = bool((content.mask < 1.0).any())
+        content = content.to(self.device)
+        wanted = matted and content.albedo is not None and self.weights.albedo > 0.0
         albedo = linear_albedo(content.albedo, color_space=self.config.color_space) if wanted else None
-        return self.sequence.frames[index], Target(content.image, content.mask, albedo)
+        return self.sequence.frames[index], Target(content.image, content.mask if matted else None, albedo)
 
     def _perceptual_turn(self) -> bool:
         """LPIPS is every fourth step's in the cpu preset, and every step's otherwise."""
@@ -155,6 +157,7 @@ class Trainer:
             self._refresh_uv(avatar.gaussians)
         if self.schedule.opacity_reset(self.step):
             reset_opacity(avatar.gaussians)
+            reset_moments(self.optimizer, "opacity_logits")
 
     def _refresh_uv(self, gaussians: Gaussians) -> None:
         """Run Alg. 1 again on the reference mesh."""

@@ -81,6 +81,13 @@ def test_frames_are_ordered_by_timestep_however_they_are_listed(dataset):
     assert listing.test == (4, 5)
 
 
+def test_frames_are_ordered_by_timestep_not_by_name(dataset):
+    change_every_entry(dataset, lambda entry: entry.update(timestep_index=5 - entry["timestep_index"]))
+    listing = open_listing(dataset)
+    assert [frame.name for frame in listing.frames] == [f"{index:05d}_00" for index in reversed(range(6))]
+    assert listing.test == (0, 1)
+
+
 def test_views_of_one_moment_stay_in_one_part(dataset):
     """Timesteps 0, 0, 1, 1, 2, 2: the last timestep is two frames."""
     change_every_entry(dataset, lambda entry: entry.update(timestep_index=entry["timestep_index"] // 2))

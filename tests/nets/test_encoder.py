@@ -1,4 +1,5 @@
 import logging
+import re
 import socket
 
 import huggingface_hub.constants
@@ -6,7 +7,9 @@ import pytest
 import torch
 from transformers import ResNetBackbone, ResNetConfig
 
+from samira_warp.errors import UserError
 from samira_warp.nets import encode_reference
+from samira_warp.nets.encoder import DEFAULT_ENCODER
 
 
 @pytest.fixture
@@ -72,17 +75,26 @@ def test_a_local_folder_needs_no_network(tmp_path, image, no_network):
 
 def test_an_unreachable_hub_falls_back_to_random_features_and_says_so(monkeypatch, caplog, tmp_path, image, no_network):
     monkeypatch.setattr(huggingface_hub.constants, "HF_HUB_OFFLINE", True)
+    monkeypatch.setattr(huggingface_hub.constants, "HF_HUB_CACHE", str(tmp_path))
     with caplog.at_level(logging.WARNING, logger="samira_warp"):
-        features, origin = encode_reference(image, encoder="samira/no-such-backbone")
+        features, origin = encode_reference(image, encoder=DEFAULT_ENCODER)
     assert origin == "random"
-    assert "samira/no-such-backbone" in caplog.text
+    assert DEFAULT_ENCODER in caplog.text
     assert "random features" in caplog.text
     random, _ = encode_reference(image, encoder="random")
     assert all(torch.equal(a, b) for a, b in zip(features, random, strict=True))
 
 
-def test_a_folder_that_is_no_backbone_falls_back_too(tmp_path, caplog, image, no_network):
-    with caplog.at_level(logging.WARNING, logger="samira_warp"):
-        _, origin = encode_reference(image, encoder=str(tmp_path))
-    assert origin == "random"
-    assert str(tmp_path) in caplog.text
+def test_an_encoder_that_was_asked_for_is_never_replaced(tmp_path, monkeypatch, image, no_network):
+    monkeypatch.setattr(huggingface_hub.constants, "HF_HUB_OFFLINE", True)
+    for encoder in (str(tmp_path), "samira/no-such-backbone"):
+        with pytest.raises(UserError, match=re.escape(encoder)):
+            encode_reference(image, encoder=encoder)
+
+
+def test_loading_leaves_the_random_state_alone(image):
+    torch.manual_seed(3)
+    expected = torch.rand(4)
+    torch.manual_seed(3)
+    encode_reference(image, encoder="random")
+    assert torch.equal(torch.rand(4), expected)
