@@ -88,8 +88,9 @@ GEOMETRY = ("means", "log_scales", "quaternions", "opacity_logits")
 @pytest.mark.parametrize(
     ("names", "tolerance"),
     [
-        # smooth: the step's square, and float32's rounding of an image's loss of 0.1 against differences of 1e-5
-        ([*(f"gaussians.{name}" for name in SHADING), "light.diffuse", "light.specular", "response_logits"], 0.01),
+        # the step's square, float32's rounding of an image's loss of 0.1 against differences of 1e-5, and, for normals, the kinks of
+        # bilinear lookups at the texels' centres that the step crosses: 1.0 % measured
+        ([*(f"gaussians.{name}" for name in SHADING), "light.diffuse", "light.specular", "response_logits"], 0.02),
         # Gaussians are cut where their alpha is 1/255. What comes in at that rim as they grow or move is in the difference and not in the
         # gradient: with r^2 = 2 s^2 ln(255 o) it is (1/255) r^2 / (2 s^2 o) = 3 % of each one's own, and more where gradients cancel.
         ([*(f"gaussians.{name}" for name in GEOMETRY), "motion.residual.bias"], 0.12),
