@@ -7,14 +7,12 @@ from dataclasses import replace
 import torch
 from torch import nn
 
+from samira_warp.avatar.frames import FIELDS
 from samira_warp.head import FrameParameters
-
-FIELDS = ("translation", "rotation", "neck", "jaw", "eyes", "expression")
-"""What is fine-tuned; shape and offsets stay."""
 
 
 class TrackedParameters(nn.Module):
-    """One learnable row a training frame and field, (T, ...), starting from the tracker's values."""
+    """One learnable row a training frame and field, (T, ...), starting from the tracker's values; shape and offsets stay."""
 
     def __init__(self, frames: list[FrameParameters]) -> None:
         super().__init__()
