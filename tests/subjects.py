@@ -21,9 +21,12 @@ from data.tiny import N_EXPRESSION, N_SHAPE, tiny_template  # noqa: E402
 from samira_warp.avatar import Avatar, AvatarSettings, CanonicalHead, conditions_of  # noqa: E402
 from samira_warp.camera import Camera  # noqa: E402
 from samira_warp.cli import run  # noqa: E402
+from samira_warp.evaluate.lpips import _BACKBONES, _backbone_shapes, _head_shapes  # noqa: E402
 from samira_warp.head import FrameParameters, read_template  # noqa: E402
 from samira_warp.light import LearnableLight  # noqa: E402
 from samira_warp.nets import ConditionStatistics, MotionSettings  # noqa: E402
+from samira_warp.render.__main__ import main as render_main  # noqa: E402
+from samira_warp.render.config import RenderConfig  # noqa: E402
 from samira_warp.train.__main__ import main as train_main  # noqa: E402
 from samira_warp.train.config import PRESETS, Preset, TrainConfig  # noqa: E402
 from samira_warp.train.initialize import initial_gaussians  # noqa: E402
@@ -117,6 +120,21 @@ def small_avatar(*, gaussians=200, perturb=0.0, motion=None, light_sizes=None, d
             torch.nn.init.normal_(avatar.motion.residual.weight, std=perturb)
             torch.nn.init.normal_(avatar.motion.residual.bias, std=perturb)
     return avatar.to(device)
+
+
+def render_command(*arguments, device="cpu"):
+    """The render verb in this process; its exit status."""
+    program = "python -m samira_warp.render"
+    return run(render_main, RenderConfig, program=program, arguments=[*map(str, arguments), "--device", device])
+
+
+def write_lpips_weights(folder, net):
+    """Files of the right layout with random weights."""
+    generator = torch.Generator().manual_seed(0)
+    folder.mkdir()
+    for name, shapes in ((_BACKBONES[net].file, _backbone_shapes(net)), (_BACKBONES[net].head_file, _head_shapes(net))):
+        torch.save({key: 0.05 * torch.rand(shape, generator=generator) for key, shape in shapes.items()}, folder / name)
+    return folder
 
 
 SMALL_LIGHT = {"diffuse_size": 8, "specular_size": 16}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -254,6 +254,7 @@ class Avatar(nn.Module):
         """
         folder = find_avatar(Path(path))
         stored = read_avatar(folder, device="cpu")
+        _check_settings(folder, stored.settings)
         try:
             return cls._from_stored(stored).to(device)
         except (KeyError, TypeError, RuntimeError) as error:
@@ -280,6 +281,16 @@ class Avatar(nn.Module):
         )
         avatar.load_state_dict(tensors)
         return avatar
+
+
+def _check_settings(folder: Path, settings: dict[str, Any]) -> None:
+    """Raise UserError unless every setting is there: a default for one that is missing would be another avatar."""
+    for kind, values in ((AvatarSettings, settings), (MotionSettings, settings.get("motion"))):
+        expected = {setting.name for setting in fields(kind)}
+        found = set(values) if isinstance(values, dict) else set()
+        if found != expected:
+            differing = ", ".join(sorted(found ^ expected))
+            raise UserError(folder / DESCRIPTION_FILE, expected="an avatar's settings", found=f"others or none: {differing}")
 
 
 def conditions_of(parameters: FrameParameters) -> Conditions:

@@ -17,7 +17,7 @@ from samira_warp.head import FrameParameters
 FRAMES_FILE = "frames.safetensors"
 
 FIELDS = ("translation", "rotation", "neck", "jaw", "eyes", "expression")
-"""What is stored of every frame's parameters, beside its dynamic offset where it has one; the static offset is the avatar's own."""
+"""What is stored of every frame's parameters, beside dynamic offsets where any frame has one; the static offset is the avatar's own."""
 
 
 class DrivingFrame(NamedTuple):
@@ -39,8 +39,10 @@ class DrivingFrame(NamedTuple):
 def write_frames(folder: Path, frames: list[DrivingFrame]) -> None:
     """Write frames into an existing avatar folder."""
     tensors = {name: torch.stack([getattr(frame.parameters, name).detach().cpu() for frame in frames]) for name in FIELDS}
-    if all(frame.parameters.dynamic_offset is not None for frame in frames):
-        tensors["dynamic_offset"] = torch.stack([frame.parameters.dynamic_offset.cpu() for frame in frames])
+    offsets = [frame.parameters.dynamic_offset for frame in frames]
+    known = next((offset.cpu() for offset in offsets if offset is not None), None)
+    if known is not None:
+        tensors["dynamic_offset"] = torch.stack([torch.zeros_like(known) if offset is None else offset.cpu() for offset in offsets])
     cameras = [frame.camera for frame in frames]
     tensors["world_to_camera"] = torch.stack([camera.world_to_camera.cpu() for camera in cameras])
     intrinsics = [[camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height] for camera in cameras]

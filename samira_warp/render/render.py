@@ -99,7 +99,7 @@ def _driven(config: RenderConfig, avatar: Avatar, folder: Path) -> Iterator[Driv
     """Frames of another sequence: its pose and expression, the avatar's own shape and static offset."""
     record = read_json(folder / DESCRIPTION_FILE)["record"]
     trained_on = record.get("subject") == config.data.resolve().name
-    split = config.split or (record["split"] if trained_on else "dataset")
+    split = config.split or (record.get("split", "dataset") if trained_on else "dataset")
     sequence = open_sequence(config.data, split=split, flame=folder / TEMPLATE_FILE)
     own = avatar.canonical.template
     if sequence.template.hash != own.hash:

@@ -79,15 +79,19 @@ def load_training(path: Path, optimizer: torch.optim.Adam, tracked: TrackedParam
         The number of steps done.
 
     Raises:
-        UserError: A file is missing or broken.
+        UserError: A file is missing or broken, or belongs to another avatar.
     """
     try:
         tensors = load_file(path / TRAINING_FILE)
     except (OSError, SafetensorError) as error:
         raise UserError(path / TRAINING_FILE, expected="the training state", found=error) from error
-    tracked.load_state_dict({name.removeprefix("tracked."): value for name, value in tensors.items() if name.startswith("tracked.")})
-    density.gradient.copy_(tensors["density.gradient"])
-    density.views.copy_(tensors["density.views"])
+    try:
+        tracked.load_state_dict({name.removeprefix("tracked."): value for name, value in tensors.items() if name.startswith("tracked.")})
+        density.gradient.copy_(tensors["density.gradient"])
+        density.views.copy_(tensors["density.views"])
+    except (KeyError, RuntimeError) as error:
+        misfit = str(error).splitlines()[-1].strip()
+        raise UserError(path / TRAINING_FILE, expected="the training state of the avatar beside it", found=misfit) from error
     for group in optimizer.param_groups:
         for index, parameter in enumerate(group["params"]):
             prefix = f"adam.{group['name']}.{index}."

@@ -25,7 +25,7 @@ from samira_warp.train.trainer import Trainer
 FREE_ON_RESUME = ("resume", "data", "out", "device", "checkpoint_every", "preview_every", "lpips_weights")
 """Settings that may differ when a run goes on: they say where things are, not what is computed."""
 
-RECORDED_ONLY = ("settings", "versions", "subject")
+RECORDED_ONLY = ("settings", "versions", "subject", "torch_threads")
 """Facts that are written down but may differ when a run goes on; settings are compared one by one."""
 
 TRAINING_LPIPS = {"cpu": "alex", "paper": "vgg"}
@@ -138,10 +138,14 @@ def _resumable(config: TrainConfig, facts: dict[str, Any]) -> _Resumed:
         UserError: There is no checkpoint, or the settings or the data are not those that the run was begun with.
     """
     checkpoint = last_checkpoint(config.out / "checkpoints")
-    record = read_json(config.out / "config.json")
+    path = config.out / "config.json"
+    record = read_json(path)
+    for name, kind in (("settings", dict), ("encoder", str)):
+        if not isinstance(record.get(name), kind):
+            raise UserError(f"{path}: {name}", expected="how the run was begun", found=type(record.get(name)).__name__)
     now = json.loads(json.dumps(facts))
     compared = {name: value for name, value in now["settings"].items() if name not in FREE_ON_RESUME}
-    found = {f"--{name.replace('_', '-')}": (record.get("settings", {}).get(name), value) for name, value in compared.items()}
+    found = {f"--{name.replace('_', '-')}": (record["settings"].get(name), value) for name, value in compared.items()}
     found |= {name: (record.get(name), value) for name, value in now.items() if name not in RECORDED_ONLY}
     for name, (then, value) in found.items():
         if then != value:

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import platform
 from dataclasses import asdict, replace
+from hashlib import sha256
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import torch
 
-from samira_warp.avatar import Avatar, AvatarSettings, CanonicalHead
+from samira_warp.avatar import Avatar, AvatarSettings, CanonicalHead, conditions_of
 from samira_warp.data import PixelCache, Sequence
 from samira_warp.devices import pick_device
 from samira_warp.errors import UserError
@@ -159,8 +160,20 @@ def run_facts(config: TrainConfig, sequence: Sequence, *, steps: int, perceptual
         "steps": steps,
         "train_frames": len(sequence.train),
         "test_frames": len(sequence.test),
+        "frames_hash": _frames_hash(sequence),
         "perceptual": perceptual,
         "template_hash": sequence.template.hash,
         "versions": {"python": platform.python_version(), **{name: version(name) for name in packages}},
         "torch_threads": torch.get_num_threads(),
     }
+
+
+def _frames_hash(sequence: Sequence) -> str:
+    """Digest of the subject's shape and of every frame's name and tracked head: FLAME's template and a frame count are many subjects'."""
+    digest = sha256(sequence.shape.numpy().tobytes())
+    for index in (*sequence.train, *sequence.test):
+        frame = sequence.frames[index]
+        digest.update(frame.name.encode())
+        for values in conditions_of(frame.parameters):
+            digest.update(values.numpy().tobytes())
+    return digest.hexdigest()

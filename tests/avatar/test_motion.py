@@ -5,7 +5,7 @@ import torch
 from scipy.spatial.transform import Rotation
 from subjects import camera, parameters, small_avatar, small_canonical
 
-from samira_warp.avatar import conditions_of, geometry_uv
+from samira_warp.avatar import CanonicalHead, conditions_of, geometry_uv
 from samira_warp.avatar.avatar import DISPLACEMENT_UNIT
 from samira_warp.avatar.canonical import neck_rotation
 from samira_warp.head.geometry import face_areas
@@ -183,3 +183,12 @@ def test_driving_by_the_same_frame_twice_gives_the_same_bits_and_gradients(devic
         (rendering.image * torch.linspace(0, 1, 32, device=device)[:, None]).sum().backward()
         gradients.append([p.grad.clone() for p in avatar.parameters() if p.grad is not None])
     assert all(torch.equal(a, b) for a, b in zip(*gradients, strict=True))
+
+
+def test_the_static_offset_is_the_avatars_own():
+    canonical = small_canonical()
+    frame, offset = parameters(2), torch.full_like(canonical.vertices, 5e-3)
+    assert torch.equal(canonical.pose(replace(frame, static_offset=offset)).vertices, canonical.pose(frame).vertices)
+    own = CanonicalHead.build(canonical.template, shape=canonical.shape, static_offset=offset, uv_size=8)
+    assert torch.equal(own.pose(frame).vertices, own.pose(replace(frame, static_offset=-offset)).vertices)
+    assert (own.pose(frame).vertices - canonical.pose(frame).vertices).norm(dim=1).mean() > 1e-3

@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from subjects import camera, parameters, small_avatar
+from safetensors import safe_open
+from safetensors.torch import load_file, save_file
+from subjects import camera, parameters, small_avatar, small_canonical
 
 from samira_warp import Avatar, UserError
 from samira_warp.avatar import DrivingFrame, read_frames, write_frames
@@ -136,6 +138,96 @@ def test_tensors_of_another_avatar_are_refused(copy, tmp_path):
     small_avatar(motion=MotionSettings(width=4, region_width=2)).save(other, record={})
     shutil.copy(other / "avatar.safetensors", copy / "avatar.safetensors")
     refuses(copy, copy / "avatar.safetensors")
+
+
+def tensor_names(path):
+    with safe_open(path, framework="pt") as file:
+        return sorted(file.keys())
+
+
+def without(path, name):
+    """Write a safetensors file again without one tensor."""
+    with safe_open(path, framework="pt") as file:
+        metadata = file.metadata()
+    tensors = load_file(path)
+    del tensors[name]
+    save_file(tensors, path, metadata=metadata)
+
+
+def test_a_missing_tensor_is_noticed_whichever_it_is(copy):
+    path = copy / "avatar.safetensors"
+    whole = path.read_bytes()
+    names = tensor_names(path)
+    assert {"shape", "gaussians.means", "gaussians.faces", "response_logits", "light.diffuse"} <= set(names)
+    for name in names:
+        path.write_bytes(whole)
+        without(path, name)
+        refuses(copy, path)
+
+
+@pytest.mark.parametrize("part", ["settings", "motion"])
+def test_a_missing_or_unknown_setting_is_noticed_whichever_it_is(copy, part):
+    path = copy / "avatar.json"
+    whole = json.loads(path.read_text())
+
+    def part_of(description):
+        return description["settings"] if part == "settings" else description["settings"]["motion"]
+
+    for name in [*part_of(whole), None]:
+        description = json.loads(json.dumps(whole))
+        if name is None:
+            part_of(description)["unheard_of"] = 1
+        else:
+            del part_of(description)[name]
+        path.write_text(json.dumps(description))
+        refuses(copy, path, name or "unheard_of")
+
+
+def test_missing_parts_of_the_frames_are_named(copy):
+    path = copy / "frames.safetensors"
+    whole = path.read_bytes()
+    for name in tensor_names(path):
+        path.write_bytes(whole)
+        without(path, name)
+        refuses(copy, path, name, load=read_frames)
+    path.write_bytes(whole)
+    tensors = load_file(path)
+    for metadata in ({"names": "one"}, {"parts": "train"}, None, {"names": "one\ntwo", "parts": "train"}):
+        save_file(tensors, path, metadata=metadata)
+        refuses(copy, path, load=read_frames)
+    save_file(tensors, path, metadata={"names": "one\ntwo", "parts": "train\ntest"})
+    refuses(copy, path, load=read_frames)
+
+
+@pytest.mark.parametrize("has_offset", [(True, True), (True, False), (False, False)])
+def test_dynamic_offsets_come_back(copy, has_offset, generator):
+    offsets = [torch.randn(len(small_canonical().vertices), 3, generator=generator) if has else None for has in has_offset]
+    frames = [
+        DrivingFrame(f"{index}", replace(parameters(index), dynamic_offset=offset), camera(32), "train")
+        for index, offset in enumerate(offsets)
+    ]
+    write_frames(copy, frames)
+    avatar = Avatar.load(copy)
+    for before, after, offset in zip(frames, read_frames(copy), offsets, strict=True):
+        if offset is not None:
+            assert torch.equal(after.parameters.dynamic_offset, offset)
+        with torch.no_grad():
+            assert torch.equal(avatar.move(after.parameters).gaussians.means, avatar.move(before.parameters).gaussians.means)
+
+
+@pytest.mark.gpu
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device on this machine")
+def test_what_drives_an_avatar_may_be_on_another_device(copy):
+    avatar = Avatar.load(copy, device="cuda")
+    frame, view = parameters(1), camera(32)
+    with torch.no_grad():
+        light = Avatar.load(copy).light.environment()
+        unfiltered = avatar.render(frame, view, light)
+        assert torch.equal(avatar.render(frame, view, light.filtered()).image, unfiltered.image)
+        there = avatar.render(frame.to("cuda"), view.to("cuda"))
+        here = avatar.render(frame, view)
+    assert here.image.device.type == "cuda"
+    assert torch.equal(here.image, there.image)
 
 
 def test_frames_come_back(tmp_path, saved):

@@ -7,12 +7,11 @@ import sys
 
 import numpy as np
 import pytest
-import torch
 from data.damage import change_json, cut
+from subjects import write_lpips_weights
 
 from samira_warp.cli import run
 from samira_warp.evaluate.__main__ import EvaluateConfig, main
-from samira_warp.evaluate.lpips import _BACKBONES, _backbone_shapes, _head_shapes
 from samira_warp.images import read_image, write_png
 
 NAMES = [f"{index:05d}_00" for index in range(6)]
@@ -125,17 +124,8 @@ def test_regions(dataset, predictions, capsys):
     assert result["frames"][NAMES[4]]["regions"]["face"]["psnr"] == pytest.approx(expected, abs=1e-4)
 
 
-def write_weights(folder, net):
-    """Files of the right layout with random weights."""
-    generator = torch.Generator().manual_seed(0)
-    folder.mkdir()
-    for name, shapes in ((_BACKBONES[net].file, _backbone_shapes(net)), (_BACKBONES[net].head_file, _head_shapes(net))):
-        torch.save({key: 0.05 * torch.rand(shape, generator=generator) for key, shape in shapes.items()}, folder / name)
-    return folder
-
-
 def test_lpips_with_weights_of_the_users(dataset, predictions, tmp_path, capsys):
-    weights = write_weights(tmp_path / "weights", "alex")
+    weights = write_lpips_weights(tmp_path / "weights", "alex")
     result = scores(capsys, "--pred", predictions, "--data", dataset, "--lpips-weights", weights)
     assert result["lpips"] > 0
     assert "lpips_reason" not in result

@@ -10,23 +10,20 @@ import numpy as np
 import pytest
 import torch
 from data.tiny import make_tiny_dataset
+from subjects import camera, parameters, small_avatar
+from subjects import render_command as render
 
 from samira_warp.cli import run
 from samira_warp.errors import UserError
 from samira_warp.evaluate.__main__ import EvaluateConfig
 from samira_warp.evaluate.__main__ import main as evaluate_main
 from samira_warp.images import read_image, write_exr, write_png
-from samira_warp.light import Environment, decode_srgb
-from samira_warp.render.__main__ import main
-from samira_warp.render.config import RenderConfig, parse_frames
-from samira_warp.render.layers import Layer
+from samira_warp.light import Environment, decode_srgb, encode_srgb
+from samira_warp.render.config import parse_frames
+from samira_warp.render.layers import Layer, layer_image
 
 WITH_VALUES = {"depth": 1, "irradiance": 3, "specular_light": 3, "residual_position": 3, "residual_rotation": 3}
 """Layers that come as .exr too, and their channels."""
-
-
-def render(*arguments):
-    return run(main, RenderConfig, program="python -m samira_warp.render", arguments=[*map(str, arguments), "--device", "cpu"])
 
 
 def first(folder, layer="image", name="00004_00"):
@@ -92,6 +89,17 @@ def test_layers_mean_what_they_say(everything):
     picture = first(everything, "residual_position")
     # the picture's full scale is the limit of 0.02 m, in 256 levels
     np.testing.assert_allclose(picture, 0.5 + 0.5 * position / 0.02, atol=0.51 / 255)
+
+
+@pytest.mark.parametrize("color_space", ["raw", "srgb"])
+def test_albedo_is_encoded_where_shading_is_linear(color_space):
+    avatar = small_avatar(color_space=color_space)
+    with torch.no_grad():
+        rendering = avatar.render(parameters(0), camera(32))
+    albedo, alpha = rendering.gbuffer.albedo, rendering.gbuffer.alpha
+    shown = albedo if color_space == "raw" else encode_srgb(albedo)
+    assert (albedo - encode_srgb(albedo)).abs().max() > 0.1
+    assert torch.equal(layer_image(rendering, "albedo").picture, alpha * shown + (1 - alpha))
 
 
 def test_rendering_agrees_with_the_runs_own_score(everything, tiny_run, tiny_dataset, capsys):
@@ -268,6 +276,7 @@ def files(tmp_path):
         (["--exposure", "nan"], "--exposure"),
         (["--exposure", "inf"], "--exposure"),
         (["--rotate", "nan"], "--rotate"),
+        (["--rotate", "90"], "--rotate"),
         (["--resolution", "0"], "--resolution"),
         (["--resolution", "-8"], "--resolution"),
         (["--fps", "0"], "--fps"),

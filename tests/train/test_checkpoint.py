@@ -64,3 +64,11 @@ def test_a_folder_without_a_whole_checkpoint_is_named(state, tmp_path):
     (path / "training.json").unlink()
     with pytest.raises(UserError, match=str(tmp_path)):
         last_checkpoint(tmp_path)
+
+
+def test_what_a_killed_process_left_goes_with_the_next_checkpoint(state, tmp_path):
+    for name in (".step_000003.new", ".step_000005.old", ".step_000007.new"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "avatar.json").write_text("{")
+    save_checkpoint(tmp_path, state, record={})
+    assert [path.name for path in tmp_path.iterdir()] == ["step_000007"]

@@ -3,12 +3,14 @@
 import json
 import math
 import os
+import shutil
 import subprocess
 import sys
 
 import OpenImageIO
 import pytest
 import torch
+from data.damage import change_json
 from safetensors.torch import load_file
 from subjects import STEPS, train_arguments, train_command
 
@@ -139,3 +141,15 @@ def test_epochs_decide_the_steps_where_max_steps_does_not(tiny_dataset, tmp_path
     arguments = [word for word in train_arguments(tiny_dataset, tmp_path / "run") if word not in ("--max-steps", str(STEPS))]
     assert train_command(*arguments, "--epochs", 1) == 0
     assert json.loads((tmp_path / "run" / "config.json").read_text())["steps"] == 4
+
+
+def test_frames_without_a_matte_train_without_the_terms_that_need_one(tiny_dataset, tmp_path):
+    dataset = shutil.copytree(tiny_dataset, tmp_path / "subject")
+    shutil.rmtree(dataset / "fg_masks")
+    for path in dataset.glob("transforms*.json"):
+        change_json(path, lambda document: [entry.pop("fg_mask_path") for entry in document["frames"]])
+    assert train_command(*train_arguments(dataset, tmp_path / "run")) == 0
+    terms = set(lines(tmp_path / "run" / "metrics.jsonl")[-1])
+    assert {"l1", "ssim", "residual"} <= terms
+    assert not {"mask", "albedo"} & terms
+    assert 5 < json.loads((tmp_path / "run" / "results.json").read_text())["psnr"] < 40

@@ -1,6 +1,6 @@
 import pytest
 import torch
-from subjects import SMALL_LIGHT, small_avatar, small_canonical
+from subjects import SMALL_LIGHT, parameters, small_avatar, small_canonical
 
 from samira_warp.avatar import Gaussians
 from samira_warp.head.geometry import face_areas
@@ -15,7 +15,7 @@ from samira_warp.train.density import (
     control_density,
     reset_opacity,
 )
-from samira_warp.train.optimizer import make_optimizer, replace_gaussians, set_rates
+from samira_warp.train.optimizer import make_optimizer, replace_gaussians, reset_moments, set_rates
 from samira_warp.train.tracking import TrackedParameters
 
 COUNT = 200
@@ -228,3 +228,24 @@ def test_moments_follow_the_gaussians_that_stay():
     for parameter in new.parameters():
         parameter.grad = torch.ones_like(parameter)
     optimizer.step()
+
+
+def test_one_groups_moments_can_be_forgotten():
+    avatar, tracked = small_avatar(gaussians=20, light_sizes=SMALL_LIGHT), TrackedParameters([parameters(0)])
+    optimizer = make_optimizer(avatar, tracked)
+    reset_moments(optimizer, "opacity_logits")  # before the first step there is nothing to forget
+    assert not any(optimizer.state.values())
+    set_rates(optimizer, step=50, steps=100)
+    for group in optimizer.param_groups:
+        for parameter in group["params"]:
+            parameter.grad = torch.ones_like(parameter)
+    optimizer.step()
+    reset_moments(optimizer, "opacity_logits")
+    for group in optimizer.param_groups:
+        for parameter in group["params"]:
+            for moment in ("exp_avg", "exp_avg_sq"):
+                assert bool(optimizer.state[parameter][moment].any()) is (group["name"] != "opacity_logits"), group["name"]
+    before = avatar.gaussians.opacity_logits.detach().clone()
+    avatar.gaussians.opacity_logits.grad.zero_()
+    optimizer.step()
+    assert torch.equal(avatar.gaussians.opacity_logits, before)

@@ -9,6 +9,7 @@ from samira_warp.data import PixelCache, open_sequence
 from samira_warp.head.geometry import face_areas, vertex_normals
 from samira_warp.kernels.triangle_frames import triangle_frames
 from samira_warp.nets import ConditionStatistics
+from samira_warp.train import initialize
 from samira_warp.train.initialize import choose_reference, condition_statistics, initial_albedo, initial_gaussians
 from samira_warp.train.tracking import FIELDS, TrackedParameters
 
@@ -157,6 +158,24 @@ def test_initial_albedo_is_the_pseudo_albedo_or_the_reference_image(sequence):
     bare = replace(sequence, frames=tuple(replace(frame, albedo_path=None) for frame in sequence.frames))
     with PixelCache(bare.frames, width=32, height=32) as pixels:
         assert initial_albedo(bare, pixels, canonical, reference) is reference
+
+
+@pytest.mark.parametrize(
+    ("having", "expected"),
+    [
+        (range(0, 60, 2), [0, 4, 10, 14, 20, 24, 30, 34, 40, 44, 50, 54]),
+        (range(3), [0, 1, 2]),
+        (range(50, 62), list(range(50, 62))),
+    ],
+)
+def test_the_albedo_is_unwrapped_from_twelve_frames_that_have_one(sequence, monkeypatch, having, expected):
+    path = sequence.frames[sequence.train[0]].albedo_path
+    frames = [replace(sequence.frames[0], albedo_path=path if index in having else None) for index in range(64)]
+    long = replace(sequence, frames=tuple(frames), train=tuple(range(62)), test=(62, 63))
+    seen = []
+    monkeypatch.setattr(initialize, "view_of", lambda sequence, pixels, index, *, albedo: seen.append(index))
+    initial_albedo(long, None, small_canonical(), torch.zeros(1))
+    assert seen == expected
 
 
 def test_tracked_parameters_start_as_tracked_and_learn_by_row(sequence):

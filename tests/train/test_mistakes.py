@@ -122,6 +122,13 @@ def test_options_out_of_range(tiny_dataset, tmp_path, capsys, option, value):
     assert not (tmp_path / "run").exists()
 
 
+def test_images_too_small_for_ssim_are_refused(tiny_dataset, tmp_path, capsys):
+    message = refused(capsys, *train_arguments(tiny_dataset, tmp_path / "run"), "--resolution", "8")
+    assert "--resolution 8" in message
+    assert "8 x 8" in message
+    assert not (tmp_path / "run").exists()
+
+
 def test_no_gpu(tiny_dataset, tmp_path, capsys):
     if torch.cuda.is_available():
         pytest.skip("there is a CUDA device on this machine")

@@ -9,8 +9,11 @@ import subprocess
 import sys
 
 import pytest
-from safetensors.torch import load_file
-from subjects import TESTS, train_arguments, train_command
+import torch
+from data.damage import change_arrays
+from data.tiny import make_tiny_dataset
+from safetensors.torch import load_file, save_file
+from subjects import TESTS, train_arguments, train_command, write_lpips_weights
 
 from samira_warp import Avatar
 from samira_warp.train import trainer
@@ -108,6 +111,76 @@ def test_resuming_with_other_settings_is_refused(tiny_run, tiny_dataset, tmp_pat
     message = refused(capsys, *train_arguments(tiny_dataset, folder), option, value, "--resume")
     assert option in message
     assert value in message
+
+
+def other_parameters(folder):
+    for path in folder.glob("flame_param/*.npz"):
+        change_arrays(path, expr=lambda values: 0.5 * values)
+
+
+OTHER_DATA = {
+    "more frames": lambda folder: make_tiny_dataset(folder, frames=8),
+    "as many frames of another performance": lambda folder: other_parameters(make_tiny_dataset(folder)),
+}
+
+
+@pytest.mark.parametrize("name", OTHER_DATA)
+def test_resuming_on_other_data_is_refused(tiny_run, tmp_path, capsys, name):
+    folder = shutil.copytree(tiny_run, tmp_path / "run")
+    OTHER_DATA[name](tmp_path / "subject")
+    message = refused(capsys, *train_arguments(tmp_path / "subject", folder), "--resume")
+    assert str(folder) in message
+    assert "as the run was begun" in message
+
+
+def test_the_same_data_may_have_moved_and_the_record_stays(tiny_run, tiny_dataset, tmp_path):
+    folder = shutil.copytree(tiny_run, tmp_path / "run")
+    moved = shutil.copytree(tiny_dataset, tmp_path / "elsewhere")
+    before = (folder / "config.json").read_bytes()
+    threads = torch.get_num_threads()
+    torch.set_num_threads(threads + 1)
+    try:
+        assert train_command(*train_arguments(moved, folder), "--resume") == 0
+    finally:
+        torch.set_num_threads(threads)
+    assert (folder / "config.json").read_bytes() == before
+
+
+def test_resuming_with_or_without_lpips_where_it_was_the_other_way_is_refused(tiny_run, tiny_dataset, tmp_path, capsys):
+    folder = shutil.copytree(tiny_run, tmp_path / "run")
+    weights = tmp_path / "weights"
+    if json.loads((folder / "config.json").read_text())["perceptual"]:
+        weights.mkdir()
+    else:
+        write_lpips_weights(weights, "alex")
+    message = refused(capsys, *train_arguments(tiny_dataset, folder), "--lpips-weights", weights, "--resume")
+    assert "perceptual" in message
+
+
+@pytest.mark.parametrize("key", ["settings", "encoder", "train_frames", "template_hash"])
+@pytest.mark.parametrize("value", [None, [], "absent"])
+def test_a_damaged_record_is_refused(tiny_run, tiny_dataset, tmp_path, capsys, key, value):
+    folder = shutil.copytree(tiny_run, tmp_path / "run")
+    record = json.loads((folder / "config.json").read_text())
+    if value == "absent":
+        del record[key]
+    else:
+        record[key] = value
+    (folder / "config.json").write_text(json.dumps(record))
+    message = refused(capsys, *train_arguments(tiny_dataset, folder), "--resume")
+    assert str(folder) in message
+    assert key in message
+
+
+def test_a_checkpoint_without_some_of_trainings_tensors_is_named(tiny_run, tiny_dataset, tmp_path, capsys):
+    folder = shutil.copytree(tiny_run, tmp_path / "run")
+    path = folder / "checkpoints" / "step_000006" / "training.safetensors"
+    whole = load_file(path)
+    for name in ("tracked.expression", "density.views"):
+        save_file({key: value for key, value in whole.items() if key != name}, path)
+        message = refused(capsys, *train_arguments(tiny_dataset, folder), "--resume")
+        assert str(path) in message
+        assert name.split(".")[1] in message
 
 
 def test_a_run_is_not_overwritten(tiny_run, tiny_dataset, capsys):
