@@ -11,6 +11,7 @@ import torch
 
 from samira_warp.avatar import Avatar, DrivingFrame, write_frames
 from samira_warp.data import PixelCache, Sequence, open_sequence
+from samira_warp.data.pixels import load_mask
 from samira_warp.errors import UserError
 from samira_warp.evaluate import ImagePair, evaluate_images, find_lpips
 from samira_warp.evaluate.lpips import SMALLEST_IMAGE, Lpips
@@ -91,10 +92,12 @@ def score(trainer: Trainer, lpips: Lpips | str) -> dict[str, Any]:
 
     def pairs():  # noqa: ANN202 - a generator of ImagePair
         for index in sequence.test:
-            frame, content = sequence.frames[index], trainer.pixels[index]
+            frame = sequence.frames[index]
             rendering = avatar.render(frame.parameters.to(trainer.device), trainer.camera(frame), light)
             prediction = torch.from_numpy(to_uint8(rendering.image.cpu().numpy())).float() / 255.0
-            yield ImagePair(frame.name, prediction, content.image, mask=content.mask)
+            # not the cache's mask: at its 16 bits, pixels covered by exactly one half would count as foreground
+            mask = load_mask(frame, width=trainer.size[0], height=trainer.size[1])
+            yield ImagePair(frame.name, prediction, trainer.pixels[index].image, mask=mask)
 
     width, height = trainer.size
     protocol = {
@@ -150,6 +153,8 @@ def _resumable(config: TrainConfig, facts: dict[str, Any]) -> _Resumed:
     for name, (then, value) in found.items():
         if then != value:
             raise UserError(f"{config.out}: {name}", expected=f"{then} as the run was begun", found=value)
+    if record.get("torch_threads") != now["torch_threads"]:
+        print(f"begun with {record.get('torch_threads')} threads, now {now['torch_threads']}: the bits will differ", file=sys.stderr)
     return _Resumed(checkpoint, record)
 
 
