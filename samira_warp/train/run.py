@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -90,7 +91,7 @@ def score(trainer: Trainer, lpips: Lpips | str) -> dict[str, Any]:
     sequence, avatar = trainer.sequence, trainer.avatar
     light = avatar.light()
 
-    def pairs():  # noqa: ANN202 - a generator of ImagePair
+    def pairs() -> Iterator[ImagePair]:
         for index in sequence.test:
             frame = sequence.frames[index]
             rendering = avatar.render(frame.parameters.to(trainer.device), trainer.camera(frame), light)
