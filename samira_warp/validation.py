@@ -26,12 +26,17 @@ def check_tensor(
         dtype: The dtype expected, or None for any.
         device: The device expected, or None for any.
     """
+    if isinstance(tensor, torch.Tensor):
+        fits = tensor.dim() == len(shape) and all(
+            want == have or isinstance(want, str) for want, have in zip(shape, tensor.shape, strict=True)
+        )
+        if fits and (dtype is None or tensor.dtype == dtype) and (device is None or tensor.device == device):
+            return
+        found = f"{_dtype_name(tensor.dtype)} {tuple(tensor.shape)} on {tensor.device}"
+    else:
+        found = type(tensor).__name__
     wanted = f"{_dtype_name(dtype)} tensor of shape ({', '.join(map(str, shape))})" + (f" on {device}" if device else "")
-    if not isinstance(tensor, torch.Tensor):
-        raise UserError(name, expected=wanted, found=type(tensor).__name__)
-    fits = tensor.dim() == len(shape) and all(isinstance(want, str) or want == have for want, have in zip(shape, tensor.shape, strict=True))
-    if not fits or (dtype is not None and tensor.dtype != dtype) or (device is not None and tensor.device != device):
-        raise UserError(name, expected=wanted, found=f"{_dtype_name(tensor.dtype)} {tuple(tensor.shape)} on {tensor.device}")
+    raise UserError(name, expected=wanted, found=found)
 
 
 def _dtype_name(dtype: torch.dtype | None) -> str:

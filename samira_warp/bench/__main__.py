@@ -18,7 +18,7 @@ class BenchConfig:
     """Time a part of the package on this machine."""
 
     what: tyro.conf.Positional[Literal["raster", "light", "avatar", "train"]]
-    """raster: kernels against plain ones; light: filtering; avatar: a frame by stage; train: a step by stage."""
+    """raster: kernels against plain ones or, on a GPU, gsplat; light: filtering; avatar: a frame, train: a step, by stage."""
     device: DeviceName = "auto"
     """Where to compute."""
     json: bool = False

@@ -1,44 +1,112 @@
-"""``bench avatar``: one rendered frame, split by stage."""
+"""``bench avatar``: one rendered frame, split by stage, for what a user moves."""
 
 from __future__ import annotations
 
 import itertools
 import json as json_format
+from dataclasses import replace
+from typing import NamedTuple
 
 import torch
 
+from samira_warp.avatar import Avatar
 from samira_warp.bench.subject import make_avatar, make_camera, make_parameters
 from samira_warp.bench.timing import Stages, hardware, print_table, repeat
+from samira_warp.camera import Camera
+from samira_warp.light import Environment
 
 SIZES = (256, 512)
+STAGES = ("light", "motion", "raster", "shading", "total")
+
+
+class Scenario(NamedTuple):
+    """What changes from frame to frame, and what therefore stays.
+
+    Attributes:
+        moves: What the user moves.
+        cached: Results that are made once and used again.
+        light: Filter a light each frame, of the learned light's size.
+        motion: Pose the head and run the motion network.
+        raster: Rasterise the G-buffer.
+    """
+
+    moves: str
+    cached: str
+    light: bool = False
+    motion: bool = False
+    raster: bool = False
+
+
+SCENARIOS = (
+    Scenario("everything", "nothing", light=True, motion=True, raster=True),
+    Scenario("head", "light", motion=True, raster=True),
+    Scenario("camera", "light, motion", raster=True),
+    Scenario("light", "motion, G-buffer", light=True),
+    Scenario("exposure", "light, motion, G-buffer"),
+)
 
 
 @torch.no_grad()
-def measure(device: torch.device, *, size: int) -> dict[str, object]:
-    """Median milliseconds of a frame of the cpu preset's avatar (20,000 Gaussians): motion, raster and shading, the light filtered once."""
+def measure(device: torch.device, *, size: int) -> list[dict[str, object]]:
+    """Median milliseconds of a frame of the cpu preset's avatar (20,000 Gaussians), one row for every scenario; 0 for what is cached."""
     avatar, camera = make_avatar("cpu", device=device), make_camera(size).to(device)
-    light = avatar.light()
-    stages = Stages(device)
+    rows = []
+    for scenario in SCENARIOS:
+        stages = Stages(device)
+        _frames(scenario, avatar, camera, stages)
+        times = stages.medians()
+        row = {"size": size, "gaussians": len(avatar.gaussians), "moves": scenario.moves, "cached": scenario.cached}
+        rows.append({**row, **{f"{stage}_ms": times.get(stage, 0.0) for stage in STAGES}, "frames_per_second": 1e3 / times["total"]})
+    return rows
+
+
+def _frames(scenario: Scenario, avatar: Avatar, camera: Camera, stages: Stages) -> None:
+    """Render frames, timing the stages that the scenario does not take from the first frame."""
+    device = camera.world_to_camera.device
     frames = itertools.count()
+    learned = avatar.light.environment()
+    light = learned.filtered()
+    motion = avatar.move(make_parameters(0).to(device))
+    gbuffer = avatar.rasterize(motion, camera)
 
     def frame() -> None:
-        parameters = make_parameters(next(frames)).to(device)
-        with stages.stage("motion"):
-            motion = avatar.move(parameters)
-        with stages.stage("raster"):
-            gbuffer = avatar.rasterize(motion, camera)
+        nonlocal light, motion, gbuffer
+        number = next(frames)
+        parameters, view, environment = make_parameters(number).to(device), _turned(camera, number), _dimmed(learned, number)
+        if scenario.light:
+            with stages.stage("light"):
+                light = environment.filtered()
+        if scenario.motion:
+            with stages.stage("motion"):
+                motion = avatar.move(parameters)
+        if scenario.raster:
+            with stages.stage("raster"):
+                gbuffer = avatar.rasterize(motion, view)
         with stages.stage("shading"):
-            avatar.shade(motion, gbuffer, camera, light)
+            avatar.shade(motion, gbuffer, view if scenario.raster else camera, light, exposure=1.0 + 0.01 * number)
 
     repeat(frame)
-    row = {"size": size, "gaussians": len(avatar.gaussians), **{f"{name}_ms": value for name, value in stages.medians().items()}}
-    return {**row, "frames_per_second": 1e3 / row["total_ms"]}
+
+
+def _turned(camera: Camera, number: int) -> Camera:
+    """The camera a little further round the head."""
+    angle = torch.tensor(0.02 * number)
+    turn = torch.eye(4)
+    turn[0, 0] = turn[2, 2] = angle.cos()
+    turn[0, 2], turn[2, 0] = angle.sin(), -angle.sin()
+    return replace(camera, world_to_camera=camera.world_to_camera @ turn.to(camera.world_to_camera))
+
+
+def _dimmed(environment: Environment, number: int) -> Environment:
+    """A light of other radiance."""
+    gain = 1.0 / (1.0 + 0.1 * number)
+    return Environment.from_cubemaps(gain * environment.diffuse, gain * environment.specular)
 
 
 def main(device: str, json: bool) -> None:
     """Measure at every size and print a table, or JSON rows."""
     on = torch.device(device)
-    rows = [measure(on, size=size) for size in SIZES]
+    rows = [row for size in SIZES for row in measure(on, size=size)]
     if json:
         print(json_format.dumps([{**row, "hardware": hardware(on)} for row in rows]))
         return

@@ -1,37 +1,55 @@
-"""Times of the rasteriser on a synthetic head: ours on one and two threads, and the plain per-pixel kernels on one as the yardstick."""
+"""Times of the rasteriser on a synthetic head, beside a yardstick: the plain per-pixel kernels on a CPU, gsplat on a GPU."""
 
 from __future__ import annotations
 
 import json as json_format
-import math
 import re
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
 
-from samira_warp.camera import Camera
+from samira_warp.bench.gsplat_peer import GsplatTimes, gsplat_times
+from samira_warp.bench.memory import peak_bytes
+from samira_warp.bench.scene import Scene, make_scene
+from samira_warp.bench.timing import hardware, least_ms
 from samira_warp.kernels.blending import blend
 from samira_warp.kernels.projection import Projection, project
-from samira_warp.kernels.splats import RECORD
+from samira_warp.kernels.rasterizer import rasterize
 from samira_warp.kernels.tiles import TILE, TileBins, bin_tiles
 from samira_warp.reference import blending_plain
 
-GAUSSIANS = (20_000, 50_000, 200_000)
-SIZES = (256, 512)
-CHANNELS = (3, 9, 11)
+GBUFFER_CHANNELS = 11
+"""Albedo and normal, three each; roughness, specular, two response factors and depth."""
+
 REPEATS = 5
+DISPATCH_REPEATS = 100
 PLAIN_BUDGET = 90.0
 """Seconds for the plain kernels in all; scenes after that go without their ratios."""
 
 
+class Sweep(NamedTuple):
+    """What is measured, in every combination."""
+
+    gaussians: tuple[int, ...]
+    sizes: tuple[int, ...]
+    channels: tuple[int, ...]
+    threads: tuple[int, ...]
+
+
+SWEEPS = {
+    "cpu": Sweep((20_000, 50_000, 200_000), (256, 512), (3, 9, GBUFFER_CHANNELS), (1, 2)),
+    "cuda": Sweep((100_000, 500_000), (512, 1024), (3, GBUFFER_CHANNELS), (0,)),
+}
+
+
 @dataclass(frozen=True)
 class Row:
-    """One measurement; the best of REPEATS.
+    """One measurement: the best of REPEATS on a CPU, their mean between two events on a GPU.
 
     Attributes:
         gaussians: N.
@@ -42,11 +60,21 @@ class Row:
         prepare_ms: Projection, binning and both sorts.
         forward_ms: Blending.
         backward_ms: Its adjoint.
-        forward_ratio: The plain kernel's time on one CPU thread over ours; None where the plain kernel was not run.
+        plain_forward_ms: The plain kernel on one CPU thread; None where it was not run.
+        plain_backward_ms: Likewise.
+        forward_ratio: The plain kernel's time over ours.
         backward_ratio: Likewise.
         pairs_per_second: Pixels of all intersections (256 each) over the forward time.
         cycles_per_16_pairs: Core cycles, all threads together, for 16 of those pairs; None where the clock is unknown.
-        peak_bytes: Tensors alive at the end of the backward pass that the operator made: bins, records, images, gradients.
+        peak_bytes: Most bytes of tensors that the whole operator, with its backward pass, has at once above its inputs; measured.
+        dispatch_forward_ms: The whole operator on one Gaussian in one tile, where its kernels take microseconds: the host's overhead.
+        dispatch_backward_ms: Likewise.
+        gsplat_prepare_ms: See `GsplatTimes`; this and what follows is None where gsplat was not run.
+        gsplat_forward_ms: Likewise.
+        gsplat_backward_ms: Likewise.
+        gsplat_forward_ratio: gsplat's time over ours.
+        gsplat_backward_ratio: Likewise.
+        hardware: What computed.
     """
 
     gaussians: int
@@ -57,74 +85,65 @@ class Row:
     prepare_ms: float
     forward_ms: float
     backward_ms: float
+    plain_forward_ms: float | None
+    plain_backward_ms: float | None
     forward_ratio: float | None
     backward_ratio: float | None
     pairs_per_second: float
     cycles_per_16_pairs: float | None
     peak_bytes: int
+    dispatch_forward_ms: float
+    dispatch_backward_ms: float
+    gsplat_prepare_ms: float | None
+    gsplat_forward_ms: float | None
+    gsplat_backward_ms: float | None
+    gsplat_forward_ratio: float | None
+    gsplat_backward_ratio: float | None
+    hardware: str
 
 
-@dataclass(frozen=True)
-class Scene:
-    """N Gaussians in a disc before a camera: the head of the design's section 7, lifted to 3D behind a long lens."""
+class StageTimes(NamedTuple):
+    """Milliseconds of the rasteriser's stages on one scene, and its number of intersections."""
 
-    means: Tensor
-    quaternions: Tensor
-    scales: Tensor
-    opacities: Tensor
-    camera: Camera
+    prepare: float
+    forward: float
+    backward: float
+    intersections: int
 
 
-def make_scene(count: int, size: int, device: torch.device) -> Scene:
-    """Uniform in a disc of radius 0.42 H, axes lognormal about 2 px at H = 512 with sigma 0.5, any turn, opacity 0.05..0.95; seed 0."""
-    generator = torch.Generator().manual_seed(0)
-    uniform = torch.rand(6, count, generator=generator)
-    angle, radius = 2 * math.pi * uniform[0], 0.42 * size * uniform[1].sqrt()
-    # a lens this long sees the same ellipse wherever the Gaussian is
-    focal = 50.0 * size
-    depths = 1.0 + uniform[2]
-    means = torch.stack([radius * angle.cos() * depths / focal, radius * angle.sin() * depths / focal, depths], dim=-1)
-    pixels = 2.0 * size / 512 * torch.exp(0.5 * torch.randn(count, 2, generator=generator))
-    scales = torch.cat([pixels * (depths / focal)[:, None], torch.zeros(count, 1)], dim=-1)
-    half_turn = 0.5 * math.pi * uniform[3]
-    zero = torch.zeros(count)
-    quaternions = torch.stack([half_turn.cos(), zero, zero, half_turn.sin()], dim=-1)
-    tensors = (means, quaternions, scales, 0.05 + 0.9 * uniform[4])
-    camera = Camera(torch.eye(4), focal, focal, size / 2, size / 2, size, size)
-    return Scene(*(tensor.to(device) for tensor in tensors), camera.to(device))
+class Times(NamedTuple):
+    """Milliseconds of a forward and a backward pass."""
 
-
-def run(device: torch.device) -> Iterator[Row]:
-    """Measure every combination of GAUSSIANS, SIZES and CHANNELS; on a CPU with one and two threads."""
-    plain_seconds = 0.0
-    threads_before = torch.get_num_threads()
-    try:
-        for count in GAUSSIANS:
-            for size in SIZES:
-                scene = make_scene(count, size, device)
-                for channels in CHANNELS:
-                    start = time.perf_counter()
-                    plain = _plain_times(scene, channels) if device.type == "cpu" and plain_seconds < PLAIN_BUDGET else None
-                    plain_seconds += time.perf_counter() - start
-                    for threads in (1, 2) if device.type == "cpu" else (0,):
-                        torch.set_num_threads(threads or threads_before)
-                        yield _measure(scene, channels, threads, plain)
-    finally:
-        torch.set_num_threads(threads_before)
+    forward: float
+    backward: float
 
 
 def main(device: str, json: bool) -> None:
-    """Print the measurements as a table, or as a JSON list of rows."""
-    rows = []
-    names = list(Row.__dataclass_fields__)
-    if not json:
-        print(" ".join(f"{name:>{max(len(name), 8)}}" for name in names))
-    for row in run(torch.device(device)):
-        rows.append(asdict(row))
-        if not json:
-            print(" ".join(f"{_text(value):>{max(len(name), 8)}}" for name, value in rows[-1].items()), flush=True)
+    """Print the measurements as tables, or as a JSON list of rows."""
+    on = torch.device(device)
     if json:
-        print(json_format.dumps(rows))
+        print(json_format.dumps([asdict(row) for row in run(on, SWEEPS[on.type])]))
+        return
+    print(hardware(on))
+    dispatch: dict[int, tuple[str, str]] = {}
+    for row in run(on, SWEEPS[on.type]):
+        columns = {name: _text(value) for name, value in asdict(row).items() if _in_table(name, on)}
+        if not dispatch:
+            print(" ".join(f"{name:>{max(len(name), 8)}}" for name in columns))
+        print(" ".join(f"{text:>{max(len(name), 8)}}" for name, text in columns.items()), flush=True)
+        dispatch[row.threads] = (_text(row.dispatch_forward_ms), _text(row.dispatch_backward_ms))
+    print("\nthreads dispatch_forward_ms dispatch_backward_ms")
+    for threads, (forward, backward) in dispatch.items():
+        print(f"{threads:>7} {forward:>19} {backward:>20}")
+
+
+def _in_table(name: str, device: torch.device) -> bool:
+    """Whether a field is a column of the large table: not what is the same in every row, nor the other device's yardstick."""
+    if name.startswith("dispatch") or name == "hardware":
+        return False
+    if device.type == "cuda":
+        return not name.startswith("plain") and name not in ("forward_ratio", "backward_ratio", "cycles_per_16_pairs")
+    return not name.startswith("gsplat")
 
 
 def _text(value: Any) -> str:
@@ -133,14 +152,108 @@ def _text(value: Any) -> str:
     return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
-def _inputs(scene: Scene, channels: int) -> tuple[list[Tensor], Projection, TileBins, tuple[Tensor, Tensor]]:
-    """What blending takes, and a gradient for each of its results."""
+def run(device: torch.device, sweep: Sweep) -> Iterator[Row]:
+    """Measure every combination of a sweep."""
+    plain_seconds = 0.0
+    dispatch: dict[int, Times] = {}
+    threads_before = torch.get_num_threads()
+    try:
+        for threads in sweep.threads:
+            torch.set_num_threads(threads or threads_before)
+            dispatch[threads] = dispatch_times(device)
+        for count in sweep.gaussians:
+            for size in sweep.sizes:
+                scene = make_scene(count, size, device)
+                for channels in sweep.channels:
+                    plain = None
+                    if device.type == "cpu" and plain_seconds < PLAIN_BUDGET:
+                        torch.set_num_threads(1)
+                        start = time.perf_counter()
+                        plain = _plain_times(scene, channels)
+                        plain_seconds += time.perf_counter() - start
+                    gsplat = gsplat_times(scene, channels) if device.type == "cuda" else None
+                    for threads in sweep.threads:
+                        torch.set_num_threads(threads or threads_before)
+                        yield _row(scene, channels, threads, plain=plain, gsplat=gsplat, dispatch=dispatch[threads])
+    finally:
+        torch.set_num_threads(threads_before)
+
+
+def _row(scene: Scene, channels: int, threads: int, *, plain: Times | None, gsplat: GsplatTimes | None, dispatch: Times) -> Row:
+    ours = stage_times(scene, channels)
+    clock = _clock() if threads else None
+    pairs_per_second = 1e3 * TILE * TILE * ours.intersections / ours.forward
+    return Row(
+        gaussians=len(scene.means),
+        size=scene.camera.height,
+        channels=channels,
+        threads=threads,
+        intersections=ours.intersections,
+        prepare_ms=ours.prepare,
+        forward_ms=ours.forward,
+        backward_ms=ours.backward,
+        plain_forward_ms=plain.forward if plain else None,
+        plain_backward_ms=plain.backward if plain else None,
+        forward_ratio=plain.forward / ours.forward if plain else None,
+        backward_ratio=plain.backward / ours.backward if plain else None,
+        pairs_per_second=pairs_per_second,
+        cycles_per_16_pairs=16 * clock * threads / pairs_per_second if clock else None,
+        peak_bytes=operator_peak_bytes(scene, channels),
+        dispatch_forward_ms=dispatch.forward,
+        dispatch_backward_ms=dispatch.backward,
+        gsplat_prepare_ms=gsplat.prepare if gsplat else None,
+        gsplat_forward_ms=gsplat.forward if gsplat else None,
+        gsplat_backward_ms=gsplat.backward if gsplat else None,
+        gsplat_forward_ratio=gsplat.forward / ours.forward if gsplat else None,
+        gsplat_backward_ratio=gsplat.backward / ours.backward if gsplat else None,
+        hardware=hardware(scene.means.device),
+    )
+
+
+def stage_times(scene: Scene, channels: int) -> StageTimes:
+    """Time preparation, blending and its adjoint, each by itself."""
     projection, bins = _prepare(scene)
-    generator = torch.Generator().manual_seed(channels)
-    features = torch.rand(len(scene.means), channels, generator=generator).to(scene.means)
-    size = scene.camera.height
-    gradients = tuple(torch.randn(shape, generator=generator).to(scene.means) for shape in ((size, size, channels), (size, size)))
-    return [projection.means2d, projection.conics, scene.opacities, features], projection, bins, gradients
+    leaves = [tensor.clone().requires_grad_() for tensor in _blended(scene, projection, channels)]
+    gradients, device = scene.image_gradients(channels), scene.means.device
+    size = {"width": scene.camera.width, "height": scene.camera.height}
+    blended = blend(*leaves, bins, **size)
+    return StageTimes(
+        prepare=least_ms(lambda: _prepare(scene), device, repeats=REPEATS),
+        forward=least_ms(lambda: blend(*leaves, bins, **size), device, repeats=REPEATS),
+        backward=least_ms(lambda: torch.autograd.grad(blended, leaves, gradients, retain_graph=True), device, repeats=REPEATS),
+        intersections=bins.gaussians.shape[0],
+    )
+
+
+def dispatch_times(device: torch.device) -> Times:
+    """Time the whole operator where there is next to nothing to compute: one Gaussian in an image of one tile."""
+    scene = make_scene(1, TILE, device)
+    leaves, gradients = _leaves(scene, 3), scene.image_gradients(3)
+    # reading the number of intersections back would wait for the kernels, on a GPU
+    capacity = 1 if device.type == "cuda" else None
+    found = rasterize(*leaves, scene.camera, capacity=capacity)
+    return Times(
+        least_ms(lambda: rasterize(*leaves, scene.camera, capacity=capacity), device, repeats=DISPATCH_REPEATS),
+        least_ms(lambda: torch.autograd.grad(found[:2], leaves, gradients, retain_graph=True), device, repeats=DISPATCH_REPEATS),
+    )
+
+
+def operator_peak_bytes(scene: Scene, channels: int) -> int:
+    """Peak bytes of the whole operator, forward and backward, above its inputs and the gradients that it gets."""
+    leaves, gradients = _leaves(scene, channels), scene.image_gradients(channels)
+    return peak_bytes(lambda: torch.autograd.grad(rasterize(*leaves, scene.camera)[:2], leaves, gradients), scene.means.device)
+
+
+def _plain_times(scene: Scene, channels: int) -> Times:
+    """Time the plain kernels, whose adjoint is right on one thread only."""
+    projection, bins = _prepare(scene)
+    tensors, gradients, device = _blended(scene, projection, channels), scene.image_gradients(channels), scene.means.device
+    size = {"width": scene.camera.width, "height": scene.camera.height}
+    blended = blending_plain.blend(*tensors, bins, **size)
+    return Times(
+        least_ms(lambda: blending_plain.blend(*tensors, bins, **size), device, repeats=2),
+        least_ms(lambda: blending_plain.blend_adjoint(*tensors, bins, blended, *gradients), device, repeats=2),
+    )
 
 
 def _prepare(scene: Scene) -> tuple[Projection, TileBins]:
@@ -148,58 +261,15 @@ def _prepare(scene: Scene) -> tuple[Projection, TileBins]:
     return projection, bin_tiles(projection, scene.opacities, width=scene.camera.width, height=scene.camera.height)
 
 
-def _plain_times(scene: Scene, channels: int) -> tuple[float, float]:
-    """Seconds of the plain kernels, forward and backward, on one thread."""
-    torch.set_num_threads(1)
-    tensors, _, bins, gradients = _inputs(scene, channels)
-    size = {"width": scene.camera.width, "height": scene.camera.height}
-    blended = blending_plain.blend(*tensors, bins, **size)
-    forward = _best(lambda: blending_plain.blend(*tensors, bins, **size), repeats=2)
-    return forward, _best(lambda: blending_plain.blend_adjoint(*tensors, bins, blended, *gradients), repeats=2)
+def _blended(scene: Scene, projection: Projection, channels: int) -> list[Tensor]:
+    """What blending takes: means, conics, opacities and features."""
+    return [projection.means2d, projection.conics, scene.opacities, scene.features(channels)]
 
 
-def _measure(scene: Scene, channels: int, threads: int, plain: tuple[float, float] | None) -> Row:
-    tensors, projection, bins, gradients = _inputs(scene, channels)
-    size = {"width": scene.camera.width, "height": scene.camera.height}
-    prepare = _best(lambda: _prepare(scene))
-    leaves = [tensor.clone().requires_grad_() for tensor in tensors]
-    blended = blend(*leaves, bins, **size)
-    forward = _best(lambda: blend(*leaves, bins, **size))
-    backward = _best(lambda: torch.autograd.grad(blended, leaves, gradients, retain_graph=True))
-
-    count, intersections = len(scene.means), bins.gaussians.shape[0]
-    padded = -(-channels // 8) * 8 + RECORD
-    made = [*projection, *bins[:5], *blended, *gradients]
-    clock = _clock() if threads else None
-    pairs = TILE * TILE * intersections
-    return Row(
-        gaussians=count,
-        size=scene.camera.height,
-        channels=channels,
-        threads=threads,
-        intersections=intersections,
-        prepare_ms=1e3 * prepare,
-        forward_ms=1e3 * forward,
-        backward_ms=1e3 * backward,
-        forward_ratio=plain[0] / forward if plain else None,
-        backward_ratio=plain[1] / backward if plain else None,
-        pairs_per_second=pairs / forward,
-        cycles_per_16_pairs=clock * threads * forward / pairs * 16 if clock else None,
-        # records of Gaussians, their gradients, and the gradients by slot are all of that width
-        peak_bytes=sum(tensor.nbytes for tensor in made) + 4 * padded * (2 * count + intersections),
-    )
-
-
-def _best(function: Callable[[], object], repeats: int = REPEATS) -> float:
-    """Least wall time of a call in seconds, after one to warm up; on a GPU the device is waited for."""
-    times = []
-    for _ in range(1 + repeats):
-        start = time.perf_counter()
-        function()
-        if torch.cuda.is_initialized():
-            torch.cuda.synchronize()
-        times.append(time.perf_counter() - start)
-    return min(times[1:])
+def _leaves(scene: Scene, channels: int) -> list[Tensor]:
+    """What the whole operator takes, wanting gradients."""
+    tensors = (scene.means, scene.quaternions, scene.scales, scene.opacities, scene.features(channels))
+    return [tensor.clone().requires_grad_() for tensor in tensors]
 
 
 def _clock() -> float | None:

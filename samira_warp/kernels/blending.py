@@ -17,17 +17,13 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import torch
-import warp as wp
 from torch import Tensor
 
 from samira_warp.kernels import blending_cpu, blending_cuda
-from samira_warp.kernels.runtime import launch_range
-from samira_warp.kernels.splats import RECORD, Octet, pack_splats
+from samira_warp.kernels.slots import GEOMETRY, sum_slots
+from samira_warp.kernels.splats import pack_splats
 from samira_warp.kernels.tiles import TileBins
 from samira_warp.validation import check_tensor
-
-GRAIN = 2048
-"""Gaussians that are worth a thread."""
 
 
 class Blended(NamedTuple):
@@ -86,27 +82,6 @@ class _Blend(torch.autograd.Function):
         bins = TileBins(*lists, *ctx.grid)
         side = blending_cuda if splats.is_cuda else blending_cpu
         slot_gradients = side.adjoint(splats, bins, blended, transmittance, grad_features.contiguous(), grad_transmittance.contiguous())
-        count = bins.order.shape[0]
-        gradients = slot_gradients.new_empty(count, *slot_gradients.shape[1:])
-        launch_range(_sum_slots, count, bins.order, bins.slot_offsets, slot_gradients, gradients, grain=GRAIN)
-        gradients = gradients.flatten(1)
-        features = gradients[:, RECORD : RECORD + blended.shape[2]]
-        return gradients[:, 0:2], gradients[:, 2:5], gradients[:, 5], features, None, None, None
-
-
-@wp.kernel(enable_backward=False)
-def _sum_slots(
-    first: wp.int32,
-    order: wp.array[wp.int32],
-    slot_offsets: wp.array[wp.int32],
-    slot_gradients: wp.array2d[Octet],
-    gradients: wp.array2d[Octet],
-) -> None:
-    """Sum each Gaussian's slots, which lie side by side, in their order."""
-    rank = first + wp.tid()
-    i = order[rank]
-    for octet in range(gradients.shape[1]):
-        total = Octet()
-        for slot in range(slot_offsets[rank], slot_offsets[rank + 1]):
-            total += slot_gradients[slot, octet]
-        gradients[i, octet] = total
+        totals = sum_slots(slot_gradients, bins)
+        features = totals[:, GEOMETRY : GEOMETRY + blended.shape[2]]
+        return totals[:, 0:2], totals[:, 2:5], totals[:, 5], features, None, None, None

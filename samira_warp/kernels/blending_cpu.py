@@ -19,7 +19,8 @@ from torch import Tensor
 
 from samira_warp.constants import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
 from samira_warp.kernels.runtime import launch_range
-from samira_warp.kernels.splats import RECORD, Octet
+from samira_warp.kernels.slots import GEOMETRY, SlotGradients
+from samira_warp.kernels.splats import RECORD
 from samira_warp.kernels.tiles import TileBins
 
 LANES = 4
@@ -32,7 +33,7 @@ _CONSTANTS = f"""
     #pragma clang fp contract(on)   // within an expression, so that forward and backward round alike
     const float ALPHA_MAX = {ALPHA_MAX!r}f, ALPHA_MIN = {ALPHA_MIN!r}f, TRANSMITTANCE_MIN = {TRANSMITTANCE_MIN!r}f;
     const float LN2 = {math.log(2.0)!r}f;
-    const int RECORD = {RECORD}, LANES = {LANES};
+    const int RECORD = {RECORD}, GEOMETRY = {GEOMETRY}, LANES = {LANES};
 """
 
 _TILE = r"""
@@ -60,6 +61,10 @@ _TILE = r"""
     auto any = [](Row v) { return __builtin_reduce_or(__builtin_bit_cast(Bits, v)) != 0; };
 
     auto take_batch = [&](int begin, int size) {
+        // the next batch's records lie anywhere: ask for them now
+        for (int next = begin + size; next < end && next < begin + size + BATCH; ++next)
+            for (int line = 0; line < stride; line += 16)
+                __builtin_prefetch(splats.data + (size_t)gaussians.data[next] * stride + line);
         for (int j = 0; j < size; ++j) {
             const float* splat = splats.data + (size_t)gaussians.data[begin + j] * stride;
             mean_x[j] = splat[0] - (tile_left + 0.5f);
@@ -197,28 +202,24 @@ _BACKWARD = r"""
     // gradient of sigma, times 1, dy and dy^2, summed over the rows of each Gaussian of the batch
     Row moment0[BATCH], moment1[BATCH], moment2[BATCH];
 
-    auto slot_of = [&](int entry) { return (Octet*)slot_gradients.data + (size_t)slots.data[entry] * (1 + octets); };
     auto write_slot = [&](int j, int entry) {
-        Octet* slot = slot_of(entry);
+        float* slot = slot_gradients.data + (size_t)slots.data[entry] * slot_gradients.shape[1];
         const float p = root[j], s = shear[j], A = 2.0f * LN2 * p * p, B = 2.0f * LN2 * p * s, C = 2.0f * LN2 * (s * s + rest[j]);
         const Row dx = ramp - mean_x[j], first = moment0[j] * dx;
         const float sum_x = total(first), sum_y = total(moment1[j]), inverse_opacity = feature[j][7 - RECORD];
-        slot[0] = Octet{
-            -(A * sum_x + B * sum_y), -(B * sum_x + C * sum_y),
-            0.5f * total(first * dx), total(moment1[j] * dx), 0.5f * total(moment2[j]),
-            -total(moment0[j]) * inverse_opacity, 0.0f, 0.0f,
-        };
-        for (int o = 0; o < octets; ++o) slot[1 + o] = grad_feature[j * octets + o];
+        slot[0] = -(A * sum_x + B * sum_y);
+        slot[1] = -(B * sum_x + C * sum_y);
+        slot[2] = 0.5f * total(first * dx);
+        slot[3] = total(moment1[j] * dx);
+        slot[4] = 0.5f * total(moment2[j]);
+        slot[5] = -total(moment0[j]) * inverse_opacity;
+        __builtin_memcpy(slot + GEOMETRY, grad_feature + j * octets, channels * sizeof(float));
+        reached.data[slots.data[entry]] = true;
     };
 
     bool unfinished = true;
-    for (int begin = start; begin < end; begin += BATCH) {
+    for (int begin = start; begin < end && unfinished; begin += BATCH) {
         const int size = end - begin < BATCH ? end - begin : BATCH;
-        if (!unfinished) {   // nothing shows behind here
-            for (int j = 0; j < size; ++j)
-                for (int o = 0; o <= octets; ++o) slot_of(begin + j)[o] = 0.0f;
-            continue;
-        }
         take_batch(begin, size);
         for (int j = 0; j < size; ++j) {
             moment0[j] = moment1[j] = moment2[j] = 0.0f;
@@ -286,15 +287,15 @@ def forward(splats: Tensor, bins: TileBins, channels: int, width: int, height: i
 
 def adjoint(
     splats: Tensor, bins: TileBins, features: Tensor, transmittance: Tensor, grad_features: Tensor, grad_transmittance: Tensor
-) -> Tensor:
-    """Gradients by slot, (I, 1 + C / 8, 8) as of `splats.Octet`, from what `forward` took and gave."""
+) -> SlotGradients:
+    """Gradients by slot from what `forward` took and gave."""
     height, width, channels = features.shape
-    slot_gradients = splats.new_empty(bins.slots.shape[0], 1 + -(-channels // 8), 8)
+    gradients = SlotGradients.allocate(bins, channels)
     lists = (bins.tile_offsets, bins.gaussians, bins.slots)
     images = (features, transmittance, grad_features, grad_transmittance)
     tiles = bins.columns * bins.rows
-    launch_range(_blend_tile_adjoint, tiles, bins.columns, width, height, *lists, splats, *images, slot_gradients, grain=GRAIN)
-    return slot_gradients
+    launch_range(_blend_tile_adjoint, tiles, bins.columns, width, height, *lists, splats, *images, *gradients, grain=GRAIN)
+    return gradients
 
 
 @wp.func_native(_CONSTANTS + _TILE + _FORWARD)
@@ -325,7 +326,8 @@ def _blend_rows_adjoint(
     transmittance: wp.array2d[wp.float32],
     grad_features: wp.array3d[wp.float32],
     grad_transmittance: wp.array2d[wp.float32],
-    slot_gradients: wp.array2d[Octet],
+    slot_gradients: wp.array2d[wp.float32],
+    reached: wp.array[wp.bool],
 ) -> None: ...
 
 
@@ -359,10 +361,11 @@ def _blend_tile_adjoint(
     transmittance: wp.array2d[wp.float32],
     grad_features: wp.array3d[wp.float32],
     grad_transmittance: wp.array2d[wp.float32],
-    slot_gradients: wp.array2d[Octet],
+    slot_gradients: wp.array2d[wp.float32],
+    reached: wp.array[wp.bool],
 ) -> None:
     """Write the gradients of one tile's intersections, each to its slot."""
     _blend_rows_adjoint(
         first + wp.tid(), columns, width, height, tile_offsets, gaussians, slots, splats,
-        features, transmittance, grad_features, grad_transmittance, slot_gradients,
+        features, transmittance, grad_features, grad_transmittance, slot_gradients, reached,
     )  # fmt: skip

@@ -39,19 +39,13 @@ def touches(mean: wp.vec2, conic: wp.vec3, sigma: wp.float32, low: wp.vec2, high
     """Whether the ellipse meets the rectangle [low, high].
 
     The least sigma over the rectangle lies at the mean if it is inside, else on an edge that faces the mean, where it is the minimum
-    of a parabola, clamped to the edge.
+    of a parabola, clamped to the edge. Where the mean lies between two sides, the point taken for their edge is another one inside the
+    rectangle, which does no harm, so nothing branches.
     """
     nearest = wp.vec2(wp.clamp(mean[0], low[0], high[0]), wp.clamp(mean[1], low[1], high[1])) - mean
-    if nearest[0] == 0.0 and nearest[1] == 0.0:
-        return True
-    least = wp.float32(wp.inf)
-    if nearest[0] != 0.0:
-        y = wp.clamp(-conic[1] * nearest[0] / conic[2], low[1] - mean[1], high[1] - mean[1])
-        least = quadratic(conic, nearest[0], y)
-    if nearest[1] != 0.0:
-        x = wp.clamp(-conic[1] * nearest[1] / conic[0], low[0] - mean[0], high[0] - mean[0])
-        least = wp.min(least, quadratic(conic, x, nearest[1]))
-    return least <= sigma
+    x = wp.clamp(-conic[1] / conic[0] * nearest[1], low[0] - mean[0], high[0] - mean[0])
+    y = wp.clamp(-conic[1] / conic[2] * nearest[0], low[1] - mean[1], high[1] - mean[1])
+    return wp.min(quadratic(conic, nearest[0], y), quadratic(conic, x, nearest[1])) <= sigma
 
 
 def pair(first: float, second: float) -> Any:

@@ -10,6 +10,7 @@ det Sigma' = |m0 x m1|^2 + LOW_PASS (|m0|^2 + |m1|^2) + LOW_PASS^2, a sum of pos
 
 from __future__ import annotations
 
+import functools
 from typing import Any, NamedTuple
 
 import torch
@@ -100,10 +101,15 @@ class _Project(torch.autograd.Function):
 
 def _intrinsics(camera: Camera) -> tuple[Any, Any, Any, Any]:
     """Focal lengths, principal point, and the least and greatest (x/z, y/z) that the Jacobian may see."""
-    margin_x, margin_y = 0.15 * camera.width / camera.fx, 0.15 * camera.height / camera.fy
-    low = pair(-camera.cx / camera.fx - margin_x, -camera.cy / camera.fy - margin_y)
-    high = pair((camera.width - camera.cx) / camera.fx + margin_x, (camera.height - camera.cy) / camera.fy + margin_y)
-    return pair(camera.fx, camera.fy), pair(camera.cx, camera.cy), low, high
+    return _intrinsic_pairs(camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
+
+
+@functools.lru_cache(maxsize=64)
+def _intrinsic_pairs(fx: float, fy: float, cx: float, cy: float, width: int, height: int) -> tuple[Any, Any, Any, Any]:
+    margin_x, margin_y = 0.15 * width / fx, 0.15 * height / fy
+    low = pair(-cx / fx - margin_x, -cy / fy - margin_y)
+    high = pair((width - cx) / fx + margin_x, (height - cy) / fy + margin_y)
+    return pair(fx, fy), pair(cx, cy), low, high
 
 
 @wp.func

@@ -51,7 +51,9 @@ def _pack(
 ) -> None:
     """Write the record of each Gaussian: RECORD floats, then its features padded with zeros to the row's end."""
     i = first + wp.tid()
-    # Gaussians that no tile lists may hold anything; level and cut then stay unread
+    # projection zeroes what it culls: no tile lists that, and its record stays unwritten
+    if conics[i][0] == 0.0:
+        return
     level = wp.log2(opacities[i])
     # rest is a difference of products: in float64 it loses nothing
     root = wp.sqrt(HALF_LOG2_E * wp.float64(conics[i][0]))

@@ -7,7 +7,7 @@ write one gradient per intersection and sum each Gaussian's without atomics.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 import warp as wp
@@ -15,6 +15,7 @@ from torch import Tensor
 
 from samira_warp.errors import UserError
 from samira_warp.kernels.ellipse import half_extent, touches, visible_sigma
+from samira_warp.kernels.prefetch import AHEAD, prefetch_integers
 from samira_warp.kernels.projection import GRAIN, Projection
 from samira_warp.kernels.runtime import launch_range, stream_of, warp_array
 from samira_warp.validation import check_tensor
@@ -58,52 +59,74 @@ def bin_tiles(projection: Projection, opacities: Tensor, *, width: int, height: 
             the farthest Gaussians lose theirs. None reads the number back and makes room for exactly as many.
 
     Raises:
-        UserError: If opacities do not fit, or the image or the intersections are too many for 32-bit indices.
+        UserError: If opacities do not fit, or the image or the number of intersections is too large for the indices.
     """
     count = projection.depths.shape[0]
     check_tensor("opacities", opacities, shape=(count,), device=projection.depths.device)
     columns, rows = -(-width // TILE), -(-height // TILE)
+    if max(columns, rows) >= 2**15:
+        raise UserError("image", expected=f"fewer than {2**15 * TILE} pixels along each side", found=f"{width} x {height}")
     geometry = (projection.means2d.contiguous(), projection.conics.contiguous(), opacities.contiguous(), width, height, columns)
-
-    order = _depth_order(projection)
-    counts = torch.zeros(count + 1, dtype=torch.int32, device=order.device)
-    launch_range(_count_tiles, count, order, projection.visible, *geometry, counts, grain=GRAIN)
-    slot_offsets = torch.zeros_like(counts)
-    with stream_of(order.device):
-        wp.utils.array_scan(warp_array(counts), warp_array(slot_offsets), inclusive=False)
+    covers = _cover(projection, geometry)
+    order = covers.order
+    slot_offsets = _offsets_by_rank(covers)
     if capacity is None:
-        capacity = int(counts.sum())
-        if capacity >= 2**30:
-            raise UserError("Gaussians", expected="fewer than 2^30 intersections with tiles", found=capacity)
+        capacity = int(slot_offsets[count])
+        if not 0 <= capacity < 2**30:
+            raise UserError("Gaussians", expected="fewer than 2^30 intersections with tiles", found="more")
+        unfilled = 0
     else:
+        unfilled = capacity
         slot_offsets.clamp_(max=capacity)
 
-    # the radix sort wants twice the room; tile number columns x rows marks entries that nothing fills
-    tiles, slots = (torch.empty(2 * capacity, dtype=torch.int32, device=order.device) for _ in range(2))
-    owners = torch.zeros(capacity, dtype=torch.int32, device=order.device)
-    tiles[:capacity] = columns * rows
-    torch.arange(capacity, dtype=torch.int32, out=slots[:capacity])
-    launch_range(_emit_tiles, count, order, projection.visible, *geometry, slot_offsets, tiles, owners, grain=GRAIN)
+    # the radix sort wants twice the room; entries that nothing fills carry the tile number columns x rows, after all others
+    tiles, slots = (order.new_empty(2 * capacity) for _ in range(2))
+    owners = order.new_empty(capacity)
+    if unfilled:
+        launch_range(_mark_unfilled, unfilled, columns * rows, tiles, slots, owners, grain=GRAIN)
+    launch_range(_emit_tiles, count, *covers, *geometry, slot_offsets, tiles, slots, owners, grain=GRAIN)
     if capacity:
         with stream_of(order.device):
             wp.utils.radix_sort_pairs(warp_array(tiles), warp_array(slots), capacity, end_bit=(columns * rows).bit_length())
-    slots = slots[:capacity]
-    boundaries = torch.arange(columns * rows + 1, dtype=torch.int32, device=order.device)
-    tile_offsets = torch.searchsorted(tiles[:capacity], boundaries, out_int32=True)
-    return TileBins(tile_offsets, owners[slots], slots, order, slot_offsets, columns, rows)
+    gaussians, tile_offsets = torch.empty_like(owners), order.new_empty(columns * rows + 1)
+    launch_range(_close_lists, capacity + 1, columns * rows, tiles, slots, owners, gaussians, tile_offsets, grain=GRAIN)
+    # a copy, so that the sort's spare room is not kept
+    return TileBins(tile_offsets, gaussians, slots[:capacity].clone(), order, slot_offsets, columns, rows)
 
 
-def _depth_order(projection: Projection) -> Tensor:
-    """(N,) int32 Gaussians by depth, equal depths by index, the invisible last."""
+class _Covers(NamedTuple):
+    """The tiles of each Gaussian, and the Gaussians by depth.
+
+    Attributes:
+        order: (N,) int32, the Gaussians by depth, equal depths by index, those that touch no tile last.
+        counts: (N,) int32, the number of tiles that the Gaussian touches.
+        boxes: (N, 2) int64: the tiles left, top, right, bottom (the last two exclusive) that hold them, in 16 bits each; and a bit for
+            each tile of that box, row by row, where it has at most 64. Side by side, because they are read in the order of depth.
+    """
+
+    order: Tensor
+    counts: Tensor
+    boxes: Tensor
+
+
+def _cover(projection: Projection, geometry: tuple[Any, ...]) -> _Covers:
     count = projection.depths.shape[0]
-    keys = torch.empty(2 * count, dtype=torch.float32, device=projection.depths.device)
-    keys[:count] = torch.where(projection.visible, projection.depths, torch.inf)
+    keys = projection.depths.new_empty(2 * count)
     order = torch.empty(2 * count, dtype=torch.int32, device=keys.device)
-    torch.arange(count, dtype=torch.int32, out=order[:count])
+    counts, boxes = order.new_empty(count), order.new_empty(count, 2, dtype=torch.int64)
+    arguments = (projection.visible, projection.depths.contiguous(), *geometry, counts, boxes, keys, order)
+    launch_range(_cover_tiles, count, *arguments, grain=GRAIN)
     if count:
         with stream_of(keys.device):
             wp.utils.radix_sort_pairs(warp_array(keys), warp_array(order), count)
-    return order[:count]
+    return _Covers(order[:count], counts, boxes)
+
+
+def _offsets_by_rank(covers: _Covers) -> Tensor:
+    """(N + 1,) int32, the first slot of each Gaussian by depth, and the number of slots."""
+    offsets = covers.order.new_zeros(len(covers.order) + 1)
+    torch.cumsum(covers.counts[covers.order], dim=0, dtype=torch.int32, out=offsets[1:])
+    return offsets
 
 
 @wp.func
@@ -128,11 +151,22 @@ def _touches_tile(
     return touches(mean, conic, sigma, low, high)
 
 
+@wp.func
+def _pack_box(box: wp.vec4i) -> wp.int64:
+    return wp.int64(box[0]) | wp.int64(box[1]) << wp.int64(16) | wp.int64(box[2]) << wp.int64(32) | wp.int64(box[3]) << wp.int64(48)
+
+
+@wp.func
+def _unpack_box(packed: wp.int64) -> wp.vec4i:
+    low, high = wp.int32(packed), wp.int32(packed >> wp.int64(32))
+    return wp.vec4i(low & 0xFFFF, (low >> 16) & 0xFFFF, high & 0xFFFF, (high >> 16) & 0xFFFF)
+
+
 @wp.kernel(enable_backward=False)
-def _count_tiles(
+def _cover_tiles(
     first: wp.int32,
-    order: wp.array[wp.int32],
     visible: wp.array[wp.bool],
+    depths: wp.array[wp.float32],
     means2d: wp.array[wp.vec2],
     conics: wp.array[wp.vec3],
     opacities: wp.array[wp.float32],
@@ -140,27 +174,49 @@ def _count_tiles(
     height: wp.int32,
     columns: wp.int32,
     counts: wp.array[wp.int32],
+    boxes: wp.array2d[wp.int64],
+    keys: wp.array[wp.float32],
+    order: wp.array[wp.int32],
 ) -> None:
-    rank = first + wp.tid()
-    i = order[rank]
-    sigma = visible_sigma(opacities[i])
-    if not visible[i] or sigma < 0.0:
-        return
-    mean, conic = means2d[i], conics[i]
-    box = _tile_box(mean, half_extent(conic, sigma), width, height)
+    """Find each Gaussian's tiles, and its key for the sort by depth."""
+    i = first + wp.tid()
+    order[i] = i
     count = wp.int32(0)
-    for row in range(box[1], box[3]):
-        for column in range(box[0], box[2]):
-            if _touches_tile(mean, conic, sigma, column, row, width, height):
-                count += 1
-    counts[rank] = count
+    sigma = wp.float32(-1.0)
+    if visible[i]:
+        sigma = visible_sigma(opacities[i])
+    if sigma >= 0.0:
+        mean, conic = means2d[i], conics[i]
+        box = _tile_box(mean, half_extent(conic, sigma), width, height)
+        mask, bit = wp.int64(0), wp.int64(0)
+        for row in range(box[1], box[3]):
+            for column in range(box[0], box[2]):
+                touched = wp.int64(_touches_tile(mean, conic, sigma, column, row, width, height))
+                count += wp.int32(touched)
+                mask = mask | touched << bit
+                bit += wp.int64(1)
+        boxes[i, 0] = _pack_box(box)
+        boxes[i, 1] = mask
+    counts[i] = count
+    keys[i] = wp.where(count > 0, depths[i], wp.float32(wp.inf))
+
+
+@wp.kernel(enable_backward=False)
+def _mark_unfilled(
+    first: wp.int32, tile_count: wp.int32, tiles: wp.array[wp.int32], slots: wp.array[wp.int32], owners: wp.array[wp.int32]
+) -> None:
+    slot = first + wp.tid()
+    tiles[slot] = tile_count
+    slots[slot] = slot
+    owners[slot] = 0
 
 
 @wp.kernel(enable_backward=False)
 def _emit_tiles(
     first: wp.int32,
     order: wp.array[wp.int32],
-    visible: wp.array[wp.bool],
+    counts: wp.array[wp.int32],
+    boxes: wp.array2d[wp.int64],
     means2d: wp.array[wp.vec2],
     conics: wp.array[wp.vec3],
     opacities: wp.array[wp.float32],
@@ -169,21 +225,48 @@ def _emit_tiles(
     columns: wp.int32,
     slot_offsets: wp.array[wp.int32],
     tiles: wp.array[wp.int32],
+    slots: wp.array[wp.int32],
     owners: wp.array[wp.int32],
 ) -> None:
+    """Write each Gaussian's tiles to its slots; those beyond the capacity are dropped."""
     rank = first + wp.tid()
+    prefetch_integers(boxes, order[wp.min(rank + AHEAD, order.shape[0] - 1)])
     slot, end = int(slot_offsets[rank]), slot_offsets[rank + 1]
     if slot == end:
         return
     i = order[rank]
-    sigma = visible_sigma(opacities[i])
-    mean, conic = means2d[i], conics[i]
-    box = _tile_box(mean, half_extent(conic, sigma), width, height)
-    # most ellipses touch every tile of their box: the count tells, and saves the second test
-    all_touched = (box[2] - box[0]) * (box[3] - box[1]) == end - slot
+    box, mask = _unpack_box(boxes[i, 0]), wp.int64(boxes[i, 1])
+    masked = (box[2] - box[0]) * (box[3] - box[1]) <= 64
     for row in range(box[1], box[3]):
         for column in range(box[0], box[2]):
-            if all_touched or (slot < end and _touches_tile(mean, conic, sigma, column, row, width, height)):
+            touched = (mask & wp.int64(1)) != wp.int64(0)
+            if not masked:
+                touched = _touches_tile(means2d[i], conics[i], visible_sigma(opacities[i]), column, row, width, height)
+            if touched and slot < end:
                 tiles[slot] = row * columns + column
+                slots[slot] = slot
                 owners[slot] = i
                 slot += 1
+            mask = mask >> wp.int64(1)
+
+
+@wp.kernel(enable_backward=False)
+def _close_lists(
+    first: wp.int32,
+    tile_count: wp.int32,
+    tiles: wp.array[wp.int32],
+    slots: wp.array[wp.int32],
+    owners: wp.array[wp.int32],
+    gaussians: wp.array[wp.int32],
+    tile_offsets: wp.array[wp.int32],
+) -> None:
+    """Write the Gaussian of each sorted entry, and where the lists of tiles begin between it and the entry before."""
+    entry = first + wp.tid()
+    before, tile = wp.int32(-1), tile_count
+    if entry > 0:
+        before = tiles[entry - 1]
+    if entry < owners.shape[0]:
+        tile = tiles[entry]
+        gaussians[entry] = owners[slots[entry]]
+    for t in range(before + 1, tile + 1):
+        tile_offsets[t] = entry

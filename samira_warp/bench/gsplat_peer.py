@@ -1,0 +1,75 @@
+"""gsplat, where it is installed, on the rasteriser's scene: stage against stage, so that like is compared with like."""
+
+from __future__ import annotations
+
+import functools
+import importlib
+import importlib.util
+import sys
+from types import ModuleType
+from typing import NamedTuple
+
+import torch
+
+from samira_warp.bench.scene import Scene
+from samira_warp.bench.timing import least_ms
+
+REPEATS = 20
+
+
+class GsplatTimes(NamedTuple):
+    """Milliseconds of gsplat's stages.
+
+    Attributes:
+        prepare: All of ``rasterization`` without gradients, less ``forward``: projection and tile lists, as our own prepare.
+        forward: ``rasterize_to_pixels`` alone, which is our blending.
+        backward: Its adjoint.
+    """
+
+    prepare: float
+    forward: float
+    backward: float
+
+
+def gsplat_times(scene: Scene, channels: int) -> GsplatTimes | None:
+    """Time gsplat on a scene on a GPU; None where gsplat is absent, or fails (its first call builds it, with nvcc): stderr says why."""
+    gsplat = _gsplat()
+    if gsplat is None:
+        return None
+    try:
+        return _measure(gsplat, scene, channels)
+    except (AttributeError, ImportError, OSError, RuntimeError) as error:
+        print(f"gsplat left out: {' '.join(str(error).split())}", file=sys.stderr)
+        return None
+
+
+@functools.cache
+def _gsplat() -> ModuleType | None:
+    return importlib.import_module("gsplat") if importlib.util.find_spec("gsplat") else None
+
+
+def _measure(gsplat: ModuleType, scene: Scene, channels: int) -> GsplatTimes:
+    camera, device = scene.camera, scene.means.device
+    intrinsics = torch.tensor([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]], device=device)
+    gaussians = (scene.means, scene.quaternions, scene.scales, scene.opacities, scene.features(channels))
+    view = (camera.world_to_camera[None], intrinsics[None], camera.width, camera.height)
+
+    @torch.no_grad()
+    def whole() -> dict[str, torch.Tensor]:
+        return gsplat.rasterization(*gaussians, *view, packed=False)[2]
+
+    # one camera: everything per Gaussian is (1, N, ...)
+    lists = whole()
+    values = (lists["means2d"], lists["conics"], gaussians[4][None], lists["opacities"])
+    leaves = [value.contiguous().clone().requires_grad_() for value in values]
+    tiles = (lists["tile_size"], lists["isect_offsets"], lists["flatten_ids"])
+
+    def blend() -> tuple[torch.Tensor, torch.Tensor]:
+        return gsplat.rasterize_to_pixels(*leaves, camera.width, camera.height, *tiles)
+
+    image, alpha = blend()
+    by_features, by_transmittance = scene.image_gradients(channels)
+    gradients = (by_features[None], -by_transmittance[None, ..., None])
+    forward = least_ms(blend, device, repeats=REPEATS)
+    backward = least_ms(lambda: torch.autograd.grad((image, alpha), leaves, gradients, retain_graph=True), device, repeats=REPEATS)
+    return GsplatTimes(least_ms(whole, device, repeats=REPEATS) - forward, forward, backward)

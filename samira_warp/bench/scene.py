@@ -1,0 +1,61 @@
+"""The rasteriser's synthetic head: Gaussians in a disc, of the sizes and opacities of a trained avatar."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from samira_warp.camera import Camera
+
+
+@dataclass(frozen=True)
+class Scene:
+    """N Gaussians in a disc before a camera behind a long lens.
+
+    Attributes:
+        means: (N, 3) metres.
+        quaternions: (N, 4) w, x, y, z.
+        scales: (N, 3) metres; the third is 0.
+        opacities: (N,).
+        camera: The view, square.
+    """
+
+    means: Tensor
+    quaternions: Tensor
+    scales: Tensor
+    opacities: Tensor
+    camera: Camera
+
+    def features(self, channels: int) -> Tensor:
+        """(N, C) uniform features, the same for a number of channels every time."""
+        generator = torch.Generator().manual_seed(channels)
+        return torch.rand(len(self.means), channels, generator=generator).to(self.means)
+
+    def image_gradients(self, channels: int) -> tuple[Tensor, Tensor]:
+        """Normal (H, W, C) and (H, W): the gradients of a loss by the blended features and by the transmittance."""
+        generator = torch.Generator().manual_seed(channels)
+        height, width = self.camera.height, self.camera.width
+        shapes = ((height, width, channels), (height, width))
+        return tuple(torch.randn(shape, generator=generator).to(self.means) for shape in shapes)
+
+
+def make_scene(count: int, size: int, device: torch.device) -> Scene:
+    """Uniform in a disc of radius 0.42 H, axes lognormal about 2 px at H = 512 with sigma 0.5, any turn, opacity 0.05..0.95; seed 0."""
+    generator = torch.Generator().manual_seed(0)
+    uniform = torch.rand(6, count, generator=generator)
+    angle, radius = 2 * math.pi * uniform[0], 0.42 * size * uniform[1].sqrt()
+    # a lens this long sees the same ellipse wherever the Gaussian is
+    focal = 50.0 * size
+    depths = 1.0 + uniform[2]
+    means = torch.stack([radius * angle.cos() * depths / focal, radius * angle.sin() * depths / focal, depths], dim=-1)
+    pixels = 2.0 * size / 512 * torch.exp(0.5 * torch.randn(count, 2, generator=generator))
+    scales = torch.cat([pixels * (depths / focal)[:, None], torch.zeros(count, 1)], dim=-1)
+    half_turn = 0.5 * math.pi * uniform[3]
+    zero = torch.zeros(count)
+    quaternions = torch.stack([half_turn.cos(), zero, zero, half_turn.sin()], dim=-1)
+    tensors = (means, quaternions, scales, 0.05 + 0.9 * uniform[4])
+    camera = Camera(torch.eye(4), focal, focal, size / 2, size / 2, size, size)
+    return Scene(*(tensor.to(device) for tensor in tensors), camera.to(device))

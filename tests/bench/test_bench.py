@@ -1,0 +1,139 @@
+import json
+import types
+from dataclasses import fields
+
+import pytest
+import torch
+
+from samira_warp.bench import avatar, gsplat_peer, raster, timing
+from samira_warp.bench.memory import peak_bytes
+from samira_warp.bench.scene import make_scene
+from samira_warp.bench.subject import make_avatar, make_camera, make_parameters
+from samira_warp.kernels.projection import project
+from samira_warp.kernels.tiles import TILE, bin_tiles
+
+TINY = raster.Sweep((500,), (40,), (3, raster.GBUFFER_CHANNELS), (1, 2))
+MEGABYTE = 2**20
+
+
+@pytest.fixture
+def brief(monkeypatch):
+    """One timed run, none before it."""
+    monkeypatch.setattr(timing, "REPEATS", 1)
+    monkeypatch.setattr(timing, "WARM_UP", 0)
+
+
+def test_peak_bytes_follow_storages_to_their_end(device):
+    outside = torch.ones(MEGABYTE, dtype=torch.uint8, device=device)
+
+    def work():
+        first = torch.zeros(3 * MEGABYTE, dtype=torch.uint8, device=device)
+        view = first[:MEGABYTE].view(-1, 2)  # owns nothing
+        del first  # yet the storage stays with the view
+        second = view + 1  # one more: four
+        del view
+        third = torch.zeros(2 * MEGABYTE, dtype=torch.uint8, device=device)  # one and two
+        outside.add_(1)
+        return second, third, outside[1:]
+
+    # exactly four, but for what a GPU's allocator rounds up
+    assert 4 * MEGABYTE <= peak_bytes(work, device) < (4 if device.type == "cpu" else 5) * MEGABYTE + 1
+    assert peak_bytes(lambda: outside.mul_(2), device) == 0
+
+
+def test_peak_bytes_see_the_backward_pass(device):
+    leaf = torch.ones(MEGABYTE // 4, device=device, requires_grad=True)
+    # exp's result, kept for the backward pass, then its gradient by ones and the product of the two
+    assert peak_bytes(lambda: torch.autograd.grad(leaf.exp(), leaf, leaf.detach()), device) >= 2 * MEGABYTE
+
+
+def test_raster_rows_keep_their_fields(monkeypatch, capsys):
+    monkeypatch.setitem(raster.SWEEPS, "cpu", TINY)
+    before = torch.get_num_threads()
+    raster.main("cpu", True)
+    rows = json.loads(capsys.readouterr().out)
+    assert torch.get_num_threads() == before
+    assert [(row["channels"], row["threads"]) for row in rows] == [(3, 1), (3, 2), (11, 1), (11, 2)]
+    promised = "gaussians size channels threads forward_ms backward_ms forward_ratio backward_ratio pairs_per_second peak_bytes"
+    for row in rows:
+        assert set(promised.split()) <= set(row) == {field.name for field in fields(raster.Row)}
+        assert all(row[name] > 0 for name in [*promised.split(), "prepare_ms", "dispatch_forward_ms", "dispatch_backward_ms"])
+        for direction in ("forward", "backward"):
+            assert row[f"{direction}_ratio"] == pytest.approx(row[f"plain_{direction}_ms"] / row[f"{direction}_ms"])
+        assert row["gsplat_forward_ms"] is None
+    assert rows[2]["peak_bytes"] > rows[0]["peak_bytes"]
+
+
+def test_raster_tables_leave_out_the_other_devices_yardstick(monkeypatch, capsys):
+    monkeypatch.setitem(raster.SWEEPS, "cpu", TINY._replace(channels=(3,)))
+    raster.main("cpu", False)
+    large, dispatch = capsys.readouterr().out.split("\n\n")
+    assert "gsplat" not in large
+    assert len(large.splitlines()) == 1 + 1 + 2
+    assert [line.split()[0] for line in dispatch.splitlines()] == ["threads", "1", "2"]
+
+
+@torch.no_grad()
+def test_the_gbuffers_channels_are_counted_right():
+    subject = make_avatar("cpu", device="cpu")
+    motion = subject.move(make_parameters(0))
+    assert sum(attribute.shape[1] for attribute in subject.surface(motion)) + 1 == raster.GBUFFER_CHANNELS
+    assert subject.rasterize(motion, make_camera(16)).depth.shape[2] == 1
+
+
+def test_avatar_rows_time_only_what_is_not_cached(brief):
+    rows = avatar.measure(torch.device("cpu"), size=24)
+    ran = {row["moves"]: [stage for stage in avatar.STAGES[:-1] if row[f"{stage}_ms"] > 0] for row in rows}
+    assert ran == {
+        "everything": ["light", "motion", "raster", "shading"],
+        "head": ["motion", "raster", "shading"],
+        "camera": ["raster", "shading"],
+        "light": ["light", "shading"],
+        "exposure": ["shading"],
+    }
+    for row in rows:
+        assert row["total_ms"] == pytest.approx(sum(row[f"{stage}_ms"] for stage in avatar.STAGES[:-1]))
+        assert row["frames_per_second"] == pytest.approx(1e3 / row["total_ms"])
+
+
+def fake_gsplat(scene, calls):
+    """What of gsplat's interface the benchmark uses, for one camera and all Gaussians (packed=False); shapes are checked, not results."""
+    count, size = len(scene.means), scene.camera.width
+    tiles = -(-size // TILE)
+
+    def rasterization(means, quats, scales, opacities, colors, viewmats, Ks, width, height, *, packed):
+        assert (means.shape, quats.shape, scales.shape, opacities.shape) == ((count, 3), (count, 4), (count, 3), (count,))
+        assert (viewmats.shape, Ks.shape, width, height, packed) == ((1, 4, 4), (1, 3, 3), size, size, False)
+        calls.append("rasterization")
+        projection = project(means, quats, scales, opacities, scene.camera)
+        bins = bin_tiles(projection, opacities, width=width, height=height)
+        lists = {"isect_offsets": bins.tile_offsets[:-1].view(1, tiles, tiles), "flatten_ids": bins.gaussians, "tile_size": TILE}
+        return colors, None, {"means2d": projection.means2d[None], "conics": projection.conics[None], "opacities": opacities[None], **lists}
+
+    def rasterize_to_pixels(means2d, conics, colors, opacities, image_width, image_height, tile_size, isect_offsets, flatten_ids):
+        assert (means2d.shape, conics.shape, opacities.shape) == ((1, count, 2), (1, count, 3), (1, count))
+        assert isect_offsets.shape == (1, tiles, tiles)
+        calls.append("rasterize_to_pixels")
+        sums = means2d.sum() + conics.sum() + opacities.sum()
+        image = colors.sum(dim=(0, 1)).expand(1, image_height, image_width, -1)
+        return image, sums.expand(1, image_height, image_width, 1)
+
+    return types.SimpleNamespace(rasterization=rasterization, rasterize_to_pixels=rasterize_to_pixels)
+
+
+def test_gsplat_is_timed_by_stage(device, monkeypatch):
+    scene, calls = make_scene(50, 40, device), []
+    monkeypatch.setattr(gsplat_peer, "_gsplat", lambda: fake_gsplat(scene, calls))
+    times = gsplat_peer.gsplat_times(scene, 11)
+    assert times.forward > 0
+    assert times.backward > 0
+    assert set(calls) == {"rasterization", "rasterize_to_pixels"}
+
+
+def test_without_gsplat_there_are_no_figures_and_a_broken_one_says_why(device, monkeypatch, capsys):
+    scene = make_scene(50, 40, device)
+    monkeypatch.setattr(gsplat_peer, "_gsplat", lambda: None)
+    assert gsplat_peer.gsplat_times(scene, 3) is None
+    monkeypatch.setattr(gsplat_peer, "_gsplat", lambda: types.ModuleType("gsplat"))
+    assert gsplat_peer.gsplat_times(scene, 3) is None
+    assert capsys.readouterr().err.startswith("gsplat left out: ")

@@ -1,0 +1,221 @@
+"""The whole rasteriser where a scene is hostile, crowded, huge or oddly shaped."""
+
+import math
+import subprocess
+import sys
+
+import pytest
+import torch
+
+from samira_warp.camera import Camera
+from samira_warp.constants import NEAR_PLANE
+from samira_warp.kernels.projection import project
+from samira_warp.kernels.rasterizer import rasterize
+from samira_warp.kernels.tiles import bin_tiles
+from samira_warp.reference import blending_plain
+from samira_warp.reference.rasterizer import rasterize as reference_rasterize
+
+CHANNELS = 3
+
+
+def make_camera(device, width, height, focal=60.0):
+    """At the origin, looking along z."""
+    return Camera(torch.eye(4, device=device), focal, focal, width / 2, height / 2, width, height)
+
+
+def make_scene(generator, device, count, *, extent=(0.3, 0.3), scale=0.03, opacity=(0.0, 1.0)):
+    """Gaussians about the point at one metre, up to ``extent`` metres to the sides and 0.5 to the back and front."""
+    place = 2 * torch.rand(count, 3, generator=generator) - 1
+    means = place * torch.tensor([*extent, 0.5]) + torch.tensor([0.0, 0.0, 1.0])
+    quaternions = torch.randn(count, 4, generator=generator)
+    scales = scale * torch.exp(0.6 * torch.randn(count, 3, generator=generator))
+    opacities = opacity[0] + (opacity[1] - opacity[0]) * torch.rand(count, generator=generator)
+    features = torch.randn(count, CHANNELS, generator=generator)
+    return [tensor.to(device) for tensor in (means, quaternions, scales, opacities, features)]
+
+
+def one_gaussian(device, depth=1.0, scale=0.05, opacity=0.5):
+    """An ellipsoid on the camera's axis, askew."""
+    values = ([0.0, 0.0, depth], [0.8, 0.3, -0.4, 0.6], [scale, 1.7 * scale, 0.6 * scale], opacity, [1.0, -2.0, 0.5])
+    return [torch.tensor(value, device=device)[None] for value in values]
+
+
+def joined(*scenes):
+    return [torch.cat(tensors) for tensors in zip(*scenes, strict=True)]
+
+
+def make_weights(generator, camera):
+    """A random linear functional of features and alpha."""
+    shapes = ((camera.height, camera.width, CHANNELS), (camera.height, camera.width))
+    return [torch.randn(shape, generator=generator).to(camera.world_to_camera) for shape in shapes]
+
+
+def with_gradients(function, scene, camera, weights):
+    leaves = [tensor.clone().requires_grad_() for tensor in scene]
+    images = function(*leaves, camera)[:2]
+    return images, torch.autograd.grad(images, leaves, [weight.to(images[0].dtype) for weight in weights])
+
+
+def assert_matches_the_twin(scene, camera, weights, groups=(slice(None),)):
+    """The images, and the gradients of each group of Gaussians by itself: a large one would hide a small one's error."""
+    images, gradients = with_gradients(rasterize, scene, camera, weights)
+    expected, truths = with_gradients(reference_rasterize, [tensor.double() for tensor in scene], camera, weights)
+    assert expected[1].max() > 0.2
+    for image, truth in zip(images, expected, strict=True):
+        # a pair that flips at alpha = 1/255 changes a pixel by at most that, times a feature of 4; otherwise float32 rounds
+        assert ((image - truth).abs() > 5e-5).float().mean() < 5e-3
+        assert (image - truth).abs().max() < 0.02
+    for group in groups:
+        for gradient, truth in zip((gradient[group].double() for gradient in gradients), (truth[group] for truth in truths), strict=True):
+            # flipped pairs again: 1/255 of a pixel's gradient. Where the truth is 0, so is ours
+            assert (gradient - truth).norm() <= 3e-3 * truth.norm()
+
+
+UNUSABLE = {
+    "behind the camera": {"depth": -1.0},
+    "at the camera": {"depth": 0.0},
+    "on the near plane": {"depth": NEAR_PLANE},
+    "NaN scale": {"scale": math.nan},
+    "infinite scale": {"scale": math.inf},
+    "wider than float32": {"scale": 1e30},
+    "opacity 0": {"opacity": 0.0},
+    "NaN opacity": {"opacity": math.nan},
+}
+
+
+def test_unusable_gaussians_leave_no_trace_all_at_once(device, generator):
+    healthy, camera = make_scene(generator, device, 300), make_camera(device, 70, 50)
+    weights = make_weights(generator, camera)
+    broken = joined(*(one_gaussian(device, **kind) for kind in UNUSABLE.values()))
+    # first, between and last: wherever they stand in the input
+    mixed = joined(broken, [tensor[:150] for tensor in healthy], broken, [tensor[150:] for tensor in healthy], broken)
+    count = len(UNUSABLE)
+    kept = torch.cat([torch.arange(150) + count, torch.arange(150) + 2 * count + 150]).to(device)
+    images, gradients = with_gradients(rasterize, healthy, camera, weights)
+    mixed_images, mixed_gradients = with_gradients(rasterize, mixed, camera, weights)
+    for one, other in zip(images, mixed_images, strict=True):
+        assert torch.equal(one, other)
+    for one, other in zip(gradients, mixed_gradients, strict=True):
+        assert torch.equal(one, other[kept])
+        others = torch.ones(len(other), dtype=torch.bool, device=device).index_fill_(0, kept, False)
+        assert (other[others] == 0).all()
+
+
+@pytest.mark.parametrize(
+    "kind",
+    [
+        {"depth": 1.01 * NEAR_PLANE, "scale": 1e-3},  # just beyond the near plane
+        {"depth": 0.02, "scale": 1.0},  # 3,000 pixels wide
+        {"depth": 1.0, "scale": 100.0},  # 6,000 pixels wide
+        {"scale": 0.0},
+        {"opacity": 1.0},
+        {"opacity": 1.0 / 256.0},  # too little for a pixel of 8 bits
+    ],
+    ids=["near plane", "wide and near", "wide", "scale 0", "opacity 1", "opacity 1/256"],
+)
+def test_extreme_gaussians_match_the_twin(device, generator, kind):
+    # in front of the others, among them and behind them
+    extreme = [one_gaussian(device, **{**kind, "depth": kind.get("depth", depth)}) for depth in (0.4, 1.0, 1.8)]
+    scene, camera = joined(*extreme, make_scene(generator, device, 100)), make_camera(device, 45, 38)
+    assert_matches_the_twin(scene, camera, make_weights(generator, camera), groups=(slice(0, 3), slice(3, None)))
+
+
+@pytest.mark.parametrize(("width", "height"), [(1, 1), (1, 33), (33, 1), (4096, 16), (16, 4096)])
+def test_sizes_match_the_twin(device, generator, width, height):
+    count = 40 if max(width, height) > 100 else 200
+    scene = make_scene(generator, device, count, extent=(width / 120, height / 120), scale=0.1)
+    camera = make_camera(device, width, height)
+    assert_matches_the_twin(scene, camera, make_weights(generator, camera))
+
+
+def test_a_hundred_thousand_in_one_tile(generator):
+    """Specks that seldom cover two pixels, so that no pixel is full before it has seen them all."""
+    camera = make_camera("cpu", 16, 16)
+    scene = make_scene(generator, "cpu", 100_000, extent=(0.06, 0.06), scale=1e-3, opacity=(0.004, 0.006))
+    weights = make_weights(generator, camera)
+    projection = project(*scene[:4], camera)
+    bins = bin_tiles(projection, scene[3], width=16, height=16)
+    assert bins.tile_offsets.tolist() == [0, len(bins.gaussians)]
+    assert len(bins.gaussians) > 95_000
+
+    inputs = [projection.means2d, projection.conics, scene[3], scene[4]]
+    plain = blending_plain.blend(*inputs, bins, width=16, height=16)
+    assert plain.transmittance.min() > 1e-3
+    truths = blending_plain.blend_adjoint(*inputs, bins, plain, weights[0], -weights[1])
+    images, gradients = with_gradients(rasterize, scene, camera, weights)
+    # some hundred terms a pixel, each of which rounds by 2^-24, and a few pairs that flip at alpha = 1/255
+    assert (images[0] - plain.features).norm() < 1e-3 * plain.features.norm()
+    assert (images[1] + plain.transmittance - 1).abs().max() < 1e-3
+    for gradient, truth in zip(gradients[3:], truths[2:], strict=True):
+        assert (gradient - truth).norm() < 1e-3 * truth.norm()
+
+
+def test_a_permutation_changes_nothing_but_the_order_of_equal_depths(device, generator):
+    camera = make_camera(device, 70, 50)
+    scene = make_scene(generator, device, 400)
+    scene[0][:, 2] = 0.6 + 0.1 * torch.randint(8, (400,), generator=generator).to(device)  # eight depths, some fifty Gaussians each
+    weights = make_weights(generator, camera)
+    shuffle = torch.randperm(400, generator=generator).to(device)
+    # by depth again, but with depths shuffled against each other: equal ones keep their order
+    groups = scene[0][:, 2].unique()[torch.randperm(8, generator=generator).to(device)]
+    within = torch.cat([(scene[0][:, 2] == depth).nonzero()[:, 0] for depth in groups])
+    results = {
+        name: with_gradients(rasterize, [tensor[order] for tensor in scene], camera, weights)
+        for name, order in (("as is", torch.arange(400, device=device)), ("within", within), ("shuffled", shuffle))
+    }
+    for one, other in zip(results["as is"][0], results["within"][0], strict=True):
+        assert torch.equal(one, other)
+    for one, other in zip(results["as is"][1], results["within"][1], strict=True):
+        assert torch.equal(one[within], other)
+    assert not torch.equal(results["as is"][0][0], results["shuffled"][0][0])
+
+    scene[0][:, 2] += 1e-4 * torch.arange(400, device=device)  # no two alike: now any permutation will do
+    images, gradients = with_gradients(rasterize, scene, camera, weights)
+    shuffled_images, shuffled_gradients = with_gradients(rasterize, [tensor[shuffle] for tensor in scene], camera, weights)
+    for one, other in zip(images, shuffled_images, strict=True):
+        assert torch.equal(one, other)
+    for one, other in zip(gradients, shuffled_gradients, strict=True):
+        assert torch.equal(one[shuffle], other)
+
+
+def test_bits_do_not_depend_on_threads_or_a_second_backward(generator):
+    camera = make_camera("cpu", 300, 200, focal=300.0)
+    scene = make_scene(generator, "cpu", 20_000, extent=(0.5, 0.4), scale=0.005)
+    weights = make_weights(generator, camera)
+    before = torch.get_num_threads()
+    runs = []
+    for threads in (1, 2):
+        torch.set_num_threads(threads)
+        leaves = [tensor.clone().requires_grad_() for tensor in scene]
+        found = rasterize(*leaves, camera)
+        for _ in range(2):
+            runs.append((*found, *torch.autograd.grad(found[:2], leaves, weights, retain_graph=True)))
+    torch.set_num_threads(before)
+    for results in zip(*runs, strict=True):
+        for other in results[1:]:
+            assert torch.equal(results[0], other)
+
+
+MILLION = """
+import resource
+import torch
+from samira_warp.bench.raster import GBUFFER_CHANNELS
+from samira_warp.bench.scene import make_scene
+from samira_warp.kernels.rasterizer import rasterize
+
+scene = make_scene(1_000_000, 1024, torch.device("cpu"))
+leaves = [scene.means, scene.quaternions, scene.scales, scene.opacities, scene.features(GBUFFER_CHANNELS)]
+leaves = [leaf.requires_grad_() for leaf in leaves]
+found = rasterize(*leaves, scene.camera)
+torch.autograd.grad(found[:2], leaves, scene.image_gradients(GBUFFER_CHANNELS))
+assert found.visible.sum() > 900_000
+print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="ru_maxrss is in kibibytes on Linux alone")
+def test_a_million_gaussians_stay_within_two_gigabytes():
+    """Of the whole process, Python and torch included: forward and backward with the G-buffer's channels."""
+    done = subprocess.run([sys.executable, "-c", MILLION], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert int(done.stdout) < 2 * 10**9
