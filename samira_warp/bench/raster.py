@@ -221,7 +221,7 @@ def stage_times(scene: Scene, channels: int) -> StageTimes:
         prepare=least_ms(lambda: _prepare(scene), device, repeats=REPEATS),
         forward=least_ms(lambda: blend(*leaves, bins, **size), device, repeats=REPEATS),
         backward=least_ms(lambda: torch.autograd.grad(blended, leaves, gradients, retain_graph=True), device, repeats=REPEATS),
-        intersections=bins.gaussians.shape[0],
+        intersections=bins.records.shape[0],
     )
 
 

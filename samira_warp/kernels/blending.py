@@ -70,10 +70,10 @@ class _Blend(torch.autograd.Function):
         ctx: Any, means2d: Tensor, conics: Tensor, opacities: Tensor, features: Tensor, bins: TileBins, width: int, height: int
     ) -> tuple[Tensor, Tensor]:
         side = blending_cuda if means2d.is_cuda else blending_cpu
-        splats = pack_splats(means2d, conics, opacities, features, multiple=side.LANES)
+        splats = pack_splats(means2d, conics, opacities, features, bins, multiple=side.LANES)
         blended, transmittance = side.forward(splats, bins, features.shape[1], width, height)
-        ctx.save_for_backward(splats, blended, transmittance, *bins[:5])
-        ctx.grid = bins[5:]
+        ctx.save_for_backward(splats, blended, transmittance, *bins[:6])
+        ctx.grid = bins[6:]
         return blended, transmittance
 
     @staticmethod

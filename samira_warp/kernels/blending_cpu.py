@@ -64,9 +64,9 @@ _TILE = r"""
         // the next batch's records lie anywhere: ask for them now
         for (int next = begin + size; next < end && next < begin + size + BATCH; ++next)
             for (int line = 0; line < stride; line += 16)
-                __builtin_prefetch(splats.data + (size_t)gaussians.data[next] * stride + line);
+                __builtin_prefetch(splats.data + (size_t)records.data[next] * stride + line);
         for (int j = 0; j < size; ++j) {
-            const float* splat = splats.data + (size_t)gaussians.data[begin + j] * stride;
+            const float* splat = splats.data + (size_t)records.data[begin + j] * stride;
             mean_x[j] = splat[0] - (tile_left + 0.5f);
             mean_y[j] = splat[1] - (tile_top + 0.5f);
             root[j] = splat[2]; shear[j] = splat[3]; rest[j] = splat[4]; level[j] = splat[5]; cut[j] = splat[6];
@@ -280,7 +280,7 @@ def forward(splats: Tensor, bins: TileBins, channels: int, width: int, height: i
     features, transmittance = splats.new_empty(height, width, channels), splats.new_empty(height, width)
     tiles = bins.columns * bins.rows
     launch_range(
-        _blend_tile, tiles, bins.columns, width, height, bins.tile_offsets, bins.gaussians, splats, features, transmittance, grain=GRAIN
+        _blend_tile, tiles, bins.columns, width, height, bins.tile_offsets, bins.records, splats, features, transmittance, grain=GRAIN
     )
     return features, transmittance
 
@@ -291,7 +291,7 @@ def adjoint(
     """Gradients by slot from what `forward` took and gave."""
     height, width, channels = features.shape
     gradients = SlotGradients.allocate(bins, channels)
-    lists = (bins.tile_offsets, bins.gaussians, bins.slots)
+    lists = (bins.tile_offsets, bins.records, bins.slots)
     images = (features, transmittance, grad_features, grad_transmittance)
     tiles = bins.columns * bins.rows
     launch_range(_blend_tile_adjoint, tiles, bins.columns, width, height, *lists, splats, *images, *gradients, grain=GRAIN)
@@ -305,7 +305,7 @@ def _blend_rows(
     width: wp.int32,
     height: wp.int32,
     tile_offsets: wp.array[wp.int32],
-    gaussians: wp.array[wp.int32],
+    records: wp.array[wp.int32],
     splats: wp.array2d[wp.float32],
     features: wp.array3d[wp.float32],
     transmittance: wp.array2d[wp.float32],
@@ -319,7 +319,7 @@ def _blend_rows_adjoint(
     width: wp.int32,
     height: wp.int32,
     tile_offsets: wp.array[wp.int32],
-    gaussians: wp.array[wp.int32],
+    records: wp.array[wp.int32],
     slots: wp.array[wp.int32],
     splats: wp.array2d[wp.float32],
     features: wp.array3d[wp.float32],
@@ -338,13 +338,13 @@ def _blend_tile(
     width: wp.int32,
     height: wp.int32,
     tile_offsets: wp.array[wp.int32],
-    gaussians: wp.array[wp.int32],
+    records: wp.array[wp.int32],
     splats: wp.array2d[wp.float32],
     features: wp.array3d[wp.float32],
     transmittance: wp.array2d[wp.float32],
 ) -> None:
     """Blend the pixels of one tile: features (H, W, C) and transmittance (H, W)."""
-    _blend_rows(first + wp.tid(), columns, width, height, tile_offsets, gaussians, splats, features, transmittance)
+    _blend_rows(first + wp.tid(), columns, width, height, tile_offsets, records, splats, features, transmittance)
 
 
 @wp.kernel(enable_backward=False)
@@ -354,7 +354,7 @@ def _blend_tile_adjoint(
     width: wp.int32,
     height: wp.int32,
     tile_offsets: wp.array[wp.int32],
-    gaussians: wp.array[wp.int32],
+    records: wp.array[wp.int32],
     slots: wp.array[wp.int32],
     splats: wp.array2d[wp.float32],
     features: wp.array3d[wp.float32],
@@ -366,6 +366,6 @@ def _blend_tile_adjoint(
 ) -> None:
     """Write the gradients of one tile's intersections, each to its slot."""
     _blend_rows_adjoint(
-        first + wp.tid(), columns, width, height, tile_offsets, gaussians, slots, splats,
+        first + wp.tid(), columns, width, height, tile_offsets, records, slots, splats,
         features, transmittance, grad_features, grad_transmittance, slot_gradients, reached,
     )  # fmt: skip

@@ -71,7 +71,7 @@ _TILE = r"""
     // Four neighbouring threads copy a record, four floats each in turn. The index of the one that comes next is read a batch ahead.
     constexpr int COPIERS = BLOCK / BATCH;
     const int staged = thread / COPIERS, first_quad = first_channel / 4;
-    int next_gaussian = start + staged < end ? gaussians.data[start + staged] : 0;
+    int next_gaussian = start + staged < end ? records.data[start + staged] : 0;
     auto fetch_batch = [&](Splat* batch, int begin) {
         const int row = splats.shape[1] / 4;
         const Quad* record = (const Quad*)splats.data + (size_t)next_gaussian * row;
@@ -83,7 +83,7 @@ _TILE = r"""
             if (source < row) copy(place + q, record + source);
             else place[q] = Quad{0.0f, 0.0f, 0.0f, 0.0f};
         }
-        if (begin + BATCH + staged < end) next_gaussian = gaussians.data[begin + BATCH + staged];
+        if (begin + BATCH + staged < end) next_gaussian = records.data[begin + BATCH + staged];
     };
 
     // (root dx + shear dy)^2 + rest dy^2; fmaf leaves the compiler no choice of rounding, so forward and backward agree
@@ -292,7 +292,7 @@ _BACKWARD = r"""
 def forward(splats: Tensor, bins: TileBins, channels: int, width: int, height: int) -> tuple[Tensor, Tensor]:
     """Features (H, W, C) and transmittance (H, W) from splat records padded to LANES."""
     features, transmittance = splats.new_empty(height, width, channels), splats.new_empty(height, width)
-    lists = (bins.tile_offsets, bins.gaussians)
+    lists = (bins.tile_offsets, bins.records)
     for first, group in _groups(channels, GROUPS):
         arguments = (group(), first, bins.columns, *lists, splats, features, transmittance)
         launch(_BLEND[group], bins.columns * bins.rows * BLOCK, *arguments, block_dim=BLOCK)
@@ -305,7 +305,7 @@ def adjoint(
     """Gradients by slot from what `forward` took and gave."""
     channels = features.shape[2]
     gradients = SlotGradients.allocate(bins, channels)
-    lists = (bins.tile_offsets, bins.gaussians, bins.slots)
+    lists = (bins.tile_offsets, bins.records, bins.slots)
     images = (features, transmittance, grad_features, grad_transmittance)
     for first, group in _groups(channels, ADJOINT_GROUPS):
         arguments = (group(), first, bins.columns, *lists, splats, *images, *gradients)
@@ -326,7 +326,7 @@ def _blend_block(
     first_channel: wp.int32,
     columns: wp.int32,
     tile_offsets: wp.array[wp.int32],
-    gaussians: wp.array[wp.int32],
+    records: wp.array[wp.int32],
     splats: wp.array2d[wp.float32],
     features: wp.array3d[wp.float32],
     transmittance: wp.array2d[wp.float32],
@@ -340,7 +340,7 @@ def _blend_block_adjoint(
     first_channel: wp.int32,
     columns: wp.int32,
     tile_offsets: wp.array[wp.int32],
-    gaussians: wp.array[wp.int32],
+    records: wp.array[wp.int32],
     slots: wp.array[wp.int32],
     splats: wp.array2d[wp.float32],
     features: wp.array3d[wp.float32],
@@ -358,13 +358,13 @@ def _blend(
     first_channel: wp.int32,
     columns: wp.int32,
     tile_offsets: wp.array[wp.int32],
-    gaussians: wp.array[wp.int32],
+    records: wp.array[wp.int32],
     splats: wp.array2d[wp.float32],
     features: wp.array3d[wp.float32],
     transmittance: wp.array2d[wp.float32],
 ) -> None:
     """One tile of a group of channels; the length of ``group`` says how many, its values nothing."""
-    _blend_block(wp.tid() / BLOCK, group, first_channel, columns, tile_offsets, gaussians, splats, features, transmittance)
+    _blend_block(wp.tid() / BLOCK, group, first_channel, columns, tile_offsets, records, splats, features, transmittance)
 
 
 @wp.kernel(enable_backward=False, grid_stride=False, launch_bounds=(BLOCK, ADJOINT_BLOCKS))
@@ -373,7 +373,7 @@ def _blend_adjoint(
     first_channel: wp.int32,
     columns: wp.int32,
     tile_offsets: wp.array[wp.int32],
-    gaussians: wp.array[wp.int32],
+    records: wp.array[wp.int32],
     slots: wp.array[wp.int32],
     splats: wp.array2d[wp.float32],
     features: wp.array3d[wp.float32],
@@ -385,7 +385,7 @@ def _blend_adjoint(
 ) -> None:
     """The slots of one tile from a group of channels; the geometry's part is added to that of the groups before."""
     _blend_block_adjoint(
-        wp.tid() / BLOCK, group, first_channel, columns, tile_offsets, gaussians, slots, splats,
+        wp.tid() / BLOCK, group, first_channel, columns, tile_offsets, records, slots, splats,
         features, transmittance, grad_features, grad_transmittance, slot_gradients, reached,
     )  # fmt: skip
 

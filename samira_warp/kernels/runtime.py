@@ -8,6 +8,8 @@ often runs for less time than Warp takes to look at its arguments.
 from __future__ import annotations
 
 import contextlib
+import copy
+import ctypes
 import functools
 import threading
 from collections.abc import Iterator
@@ -132,7 +134,9 @@ class _Command:
     def set_arguments(self, described: list[Any]) -> None:
         """Take what `describe` returned, of any thread's command for this kernel."""
         if self._launch is None:
-            self._launch = wp.launch(self._kernel, self._dim, inputs=described, record_cmd=True, **self._options)
+            # later arguments are written into these very objects, which therefore have to be the command's own
+            own = [copy.copy(value) if isinstance(value, ctypes.Array) else value for value in described]
+            self._launch = wp.launch(self._kernel, self._dim, inputs=own, record_cmd=True, **self._options)
             return
         for index, value in enumerate(described):
             self._launch.set_param_at_index_from_ctype(index, value)

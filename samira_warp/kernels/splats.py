@@ -18,6 +18,7 @@ from torch import Tensor
 
 from samira_warp.constants import ALPHA_MIN
 from samira_warp.kernels.runtime import launch_range
+from samira_warp.kernels.tiles import TileBins
 
 RECORD = 8
 """Floats of a record before its features: mean x, y; root, shear, rest; level; cut; 1 / opacity."""
@@ -32,17 +33,21 @@ HALF_LOG2_E = wp.constant(wp.float64(0.5 / math.log(2.0)))
 """Turns the conic's sigma = (1/2) d' K d into a power of two."""
 
 
-def pack_splats(means2d: Tensor, conics: Tensor, opacities: Tensor, features: Tensor, *, multiple: int) -> Tensor:
-    """(N, RECORD + P) records of N Gaussians, features padded with zeros to P channels, the next multiple of ``multiple``."""
+def pack_splats(means2d: Tensor, conics: Tensor, opacities: Tensor, features: Tensor, bins: TileBins, *, multiple: int) -> Tensor:
+    """(N, RECORD + P) records of N Gaussians, features padded with zeros to P channels, the next multiple of ``multiple``.
+
+    They are numbered by ``bins``; those past the last in use are not written, nor is their memory touched.
+    """
     count, channels = features.shape
     splats = means2d.new_empty(count, RECORD + -(-channels // multiple) * multiple)
-    launch_range(_pack, count, means2d, conics, opacities, features, splats, grain=GRAIN)
+    launch_range(_pack, count, bins.record_offsets, means2d, conics, opacities, features, splats, grain=GRAIN)
     return splats
 
 
 @wp.kernel(enable_backward=False)
 def _pack(
     first: wp.int32,
+    record_offsets: wp.array[wp.int32],
     means2d: wp.array[wp.vec2],
     conics: wp.array[wp.vec3],
     opacities: wp.array[wp.float32],
@@ -51,23 +56,23 @@ def _pack(
 ) -> None:
     """Write the record of each Gaussian: RECORD floats, then its features padded with zeros to the row's end."""
     i = first + wp.tid()
-    # projection zeroes what it culls: no tile lists that, and its record stays unwritten
-    if conics[i][0] == 0.0:
+    record = record_offsets[i]
+    if record == record_offsets[i + 1]:
         return
     level = wp.log2(opacities[i])
     # rest is a difference of products: in float64 it loses nothing
     root = wp.sqrt(HALF_LOG2_E * wp.float64(conics[i][0]))
     shear = HALF_LOG2_E * wp.float64(conics[i][1]) / root
-    splats[i, 0] = means2d[i][0]
-    splats[i, 1] = means2d[i][1]
-    splats[i, 2] = wp.float32(root)
-    splats[i, 3] = wp.float32(shear)
-    splats[i, 4] = wp.float32(HALF_LOG2_E * wp.float64(conics[i][2]) - shear * shear)
-    splats[i, 5] = level
-    splats[i, 6] = (level - wp.static(math.log2(ALPHA_MIN))) * 1.0001 + 0.0015
-    splats[i, 7] = 1.0 / opacities[i]
+    splats[record, 0] = means2d[i][0]
+    splats[record, 1] = means2d[i][1]
+    splats[record, 2] = wp.float32(root)
+    splats[record, 3] = wp.float32(shear)
+    splats[record, 4] = wp.float32(HALF_LOG2_E * wp.float64(conics[i][2]) - shear * shear)
+    splats[record, 5] = level
+    splats[record, 6] = (level - wp.static(math.log2(ALPHA_MIN))) * 1.0001 + 0.0015
+    splats[record, 7] = 1.0 / opacities[i]
     channels = features.shape[1]
     for c in range(channels):
-        splats[i, RECORD + c] = features[i, c]
+        splats[record, RECORD + c] = features[i, c]
     for c in range(RECORD + channels, splats.shape[1]):
-        splats[i, c] = 0.0
+        splats[record, c] = 0.0

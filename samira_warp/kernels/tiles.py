@@ -29,21 +29,29 @@ class TileBins(NamedTuple):
 
     Attributes:
         tile_offsets: (T + 1,) int32; tile t blends entries tile_offsets[t] to tile_offsets[t + 1].
-        gaussians: (I,) int32, the Gaussian of each entry; sorted by tile, then depth, then input index.
+        records: (I,) int32, the record of each entry's Gaussian; sorted by tile, then depth, then input index.
         slots: (I,) int32, the slot of each entry: a permutation of 0..I-1.
         order: (N,) int32, the Gaussians by depth.
         slot_offsets: (N + 1,) int32; Gaussian order[k] owns slots slot_offsets[k] to slot_offsets[k + 1].
+        record_offsets: (N + 1,) int32; Gaussian i has the record record_offsets[i] if record_offsets[i + 1] is one more, else it touches
+            no tile and has none: records are numbered so that those in use lie side by side.
         columns: Tiles across the image.
         rows: Tiles down the image.
     """
 
     tile_offsets: Tensor
-    gaussians: Tensor
+    records: Tensor
     slots: Tensor
     order: Tensor
     slot_offsets: Tensor
+    record_offsets: Tensor
     columns: int
     rows: int
+
+    @property
+    def gaussians(self) -> Tensor:
+        """(I,) int32, the index of each entry's Gaussian; entries that nothing fills name any."""
+        return torch.searchsorted(self.record_offsets[1:], self.records, right=True, out_int32=True)
 
 
 @torch.no_grad()
@@ -69,7 +77,7 @@ def bin_tiles(projection: Projection, opacities: Tensor, *, width: int, height: 
     geometry = (projection.means2d.contiguous(), projection.conics.contiguous(), opacities.contiguous(), width, height, columns)
     covers = _cover(projection, geometry)
     order = covers.order
-    slot_offsets = _offsets_by_rank(covers)
+    slot_offsets, record_offsets = _offsets(covers.counts[order]), _offsets(covers.counts > 0)
     if capacity is None:
         capacity = int(slot_offsets[count])
         if not 0 <= capacity < 2**30:
@@ -81,17 +89,17 @@ def bin_tiles(projection: Projection, opacities: Tensor, *, width: int, height: 
 
     # the radix sort wants twice the room; entries that nothing fills carry the tile number columns x rows, after all others
     tiles, slots = (order.new_empty(2 * capacity) for _ in range(2))
-    owners = order.new_empty(capacity)
+    records_by_slot = order.new_empty(capacity)
     if unfilled:
-        launch_range(_mark_unfilled, unfilled, columns * rows, tiles, slots, owners, grain=GRAIN)
-    launch_range(_emit_tiles, count, *covers, *geometry, slot_offsets, tiles, slots, owners, grain=GRAIN)
+        launch_range(_mark_unfilled, unfilled, columns * rows, tiles, slots, records_by_slot, grain=GRAIN)
+    launch_range(_emit_tiles, count, *covers, *geometry, slot_offsets, record_offsets, tiles, slots, records_by_slot, grain=GRAIN)
     if capacity:
         with stream_of(order.device):
             wp.utils.radix_sort_pairs(warp_array(tiles), warp_array(slots), capacity, end_bit=(columns * rows).bit_length())
-    gaussians, tile_offsets = torch.empty_like(owners), order.new_empty(columns * rows + 1)
-    launch_range(_close_lists, capacity + 1, columns * rows, tiles, slots, owners, gaussians, tile_offsets, grain=GRAIN)
+    records, tile_offsets = torch.empty_like(records_by_slot), order.new_empty(columns * rows + 1)
+    launch_range(_close_lists, capacity + 1, columns * rows, tiles, slots, records_by_slot, records, tile_offsets, grain=GRAIN)
     # a copy, so that the sort's spare room is not kept
-    return TileBins(tile_offsets, gaussians, slots[:capacity].clone(), order, slot_offsets, columns, rows)
+    return TileBins(tile_offsets, records, slots[:capacity].clone(), order, slot_offsets, record_offsets, columns, rows)
 
 
 class _Covers(NamedTuple):
@@ -122,10 +130,10 @@ def _cover(projection: Projection, geometry: tuple[Any, ...]) -> _Covers:
     return _Covers(order[:count], counts, boxes)
 
 
-def _offsets_by_rank(covers: _Covers) -> Tensor:
-    """(N + 1,) int32, the first slot of each Gaussian by depth, and the number of slots."""
-    offsets = covers.order.new_zeros(len(covers.order) + 1)
-    torch.cumsum(covers.counts[covers.order], dim=0, dtype=torch.int32, out=offsets[1:])
+def _offsets(counts: Tensor) -> Tensor:
+    """(N + 1,) int32, where each of N things of those sizes begins, and the sum."""
+    offsets = torch.zeros(len(counts) + 1, dtype=torch.int32, device=counts.device)
+    torch.cumsum(counts, dim=0, dtype=torch.int32, out=offsets[1:])
     return offsets
 
 
@@ -203,12 +211,12 @@ def _cover_tiles(
 
 @wp.kernel(enable_backward=False)
 def _mark_unfilled(
-    first: wp.int32, tile_count: wp.int32, tiles: wp.array[wp.int32], slots: wp.array[wp.int32], owners: wp.array[wp.int32]
+    first: wp.int32, tile_count: wp.int32, tiles: wp.array[wp.int32], slots: wp.array[wp.int32], records_by_slot: wp.array[wp.int32]
 ) -> None:
     slot = first + wp.tid()
     tiles[slot] = tile_count
     slots[slot] = slot
-    owners[slot] = 0
+    records_by_slot[slot] = 0
 
 
 @wp.kernel(enable_backward=False)
@@ -224,9 +232,10 @@ def _emit_tiles(
     height: wp.int32,
     columns: wp.int32,
     slot_offsets: wp.array[wp.int32],
+    record_offsets: wp.array[wp.int32],
     tiles: wp.array[wp.int32],
     slots: wp.array[wp.int32],
-    owners: wp.array[wp.int32],
+    records_by_slot: wp.array[wp.int32],
 ) -> None:
     """Write each Gaussian's tiles to its slots; those beyond the capacity are dropped."""
     rank = first + wp.tid()
@@ -235,6 +244,7 @@ def _emit_tiles(
     if slot == end:
         return
     i = order[rank]
+    record = record_offsets[i]
     box, mask = _unpack_box(boxes[i, 0]), wp.int64(boxes[i, 1])
     masked = (box[2] - box[0]) * (box[3] - box[1]) <= 64
     for row in range(box[1], box[3]):
@@ -245,7 +255,7 @@ def _emit_tiles(
             if touched and slot < end:
                 tiles[slot] = row * columns + column
                 slots[slot] = slot
-                owners[slot] = i
+                records_by_slot[slot] = record
                 slot += 1
             mask = mask >> wp.int64(1)
 
@@ -256,17 +266,17 @@ def _close_lists(
     tile_count: wp.int32,
     tiles: wp.array[wp.int32],
     slots: wp.array[wp.int32],
-    owners: wp.array[wp.int32],
-    gaussians: wp.array[wp.int32],
+    records_by_slot: wp.array[wp.int32],
+    records: wp.array[wp.int32],
     tile_offsets: wp.array[wp.int32],
 ) -> None:
-    """Write the Gaussian of each sorted entry, and where the lists of tiles begin between it and the entry before."""
+    """Write the record of each sorted entry, and where the lists of tiles begin between it and the entry before."""
     entry = first + wp.tid()
     before, tile = wp.int32(-1), tile_count
     if entry > 0:
         before = tiles[entry - 1]
-    if entry < owners.shape[0]:
+    if entry < records_by_slot.shape[0]:
         tile = tiles[entry]
-        gaussians[entry] = owners[slots[entry]]
+        records[entry] = records_by_slot[slots[entry]]
     for t in range(before + 1, tile + 1):
         tile_offsets[t] = entry

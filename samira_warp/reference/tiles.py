@@ -28,5 +28,7 @@ def bin_tiles(projection: Projection, opacities: Tensor, *, width: int, height: 
     slots = torch.argsort(tiles, stable=True)
     offsets = torch.searchsorted(tiles[slots], torch.arange(columns * rows + 1, device=tiles.device), out_int32=True)
     slot_offsets = torch.cat([touched.new_zeros(1, dtype=torch.long), touched.sum(dim=1).cumsum(dim=0)])
-    owners = order[ranks]
-    return TileBins(offsets, owners[slots].int(), slots.int(), order.int(), slot_offsets.int(), columns, rows)
+    listed = touched.any(dim=1)[torch.argsort(order)]
+    record_offsets = torch.cat([touched.new_zeros(1, dtype=torch.long), listed.cumsum(dim=0)])
+    records = record_offsets[order[ranks][slots]]
+    return TileBins(offsets, records.int(), slots.int(), order.int(), slot_offsets.int(), record_offsets.int(), columns, rows)

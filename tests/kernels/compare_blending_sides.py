@@ -37,7 +37,7 @@ def compare(generator, projection, opacities, channels, at_least):
     gradients = (torch.randn(HEIGHT, WIDTH, channels, generator=generator), torch.randn(HEIGHT, WIDTH, generator=generator))
     results = []
     for side in (blending_cpu, blending_cuda, blending_cuda):
-        splats = pack_splats(projection.means2d, projection.conics, opacities, features, multiple=side.LANES)
+        splats = pack_splats(projection.means2d, projection.conics, opacities, features, bins, multiple=side.LANES)
         images = side.forward(splats, bins, channels, WIDTH, HEIGHT)
         slots = side.adjoint(splats, bins, *images, *gradients)
         written = slots.values[:, : GEOMETRY + channels]

@@ -1,0 +1,76 @@
+import pytest
+import torch
+import warp as wp
+
+from samira_warp.kernels.runtime import launch, launch_range
+
+
+@wp.kernel(enable_backward=False)
+def _affine(first: wp.int32, x: wp.array[wp.vec2], scale: wp.vec2, offset: wp.float32, y: wp.array2d[wp.float32]) -> None:
+    i = first + wp.tid()
+    y[i, 0] = scale[0] * x[i][0] + offset
+    y[i, 1] = scale[1] * x[i][1] + offset
+
+
+def affine(x, scale, offset):
+    y = torch.full_like(x, torch.nan)
+    launch_range(_affine, len(x), x, scale, offset, y, grain=10)
+    return y
+
+
+@pytest.fixture
+def two_threads():
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    yield
+    torch.set_num_threads(before)
+
+
+def test_a_replayed_launch_takes_all_its_new_arguments(device, generator, two_threads):
+    """Other addresses, sizes, vectors and numbers than those that the launch was recorded with."""
+    for count in (3, 1000, 1, 57):
+        x = torch.rand(count, 2, generator=generator).to(device)
+        scale, offset = wp.vec2(float(count), -2.0), 0.5 * count
+        expected = x * torch.tensor([count, -2.0], device=device) + offset
+        # one rounding more or less, where the kernel fuses
+        assert torch.allclose(affine(x, scale, offset), expected, rtol=1e-6, atol=1e-6)
+
+
+@wp.kernel(enable_backward=False)
+def _scaled(scale: wp.vec2, y: wp.array[wp.vec2]) -> None:
+    y[wp.tid()] = scale
+
+
+def test_a_launch_leaves_its_arguments_alone(device):
+    """A vector that a caller keeps, and that the launch was recorded with, still holds what it held after other launches."""
+    kept, y = wp.vec2(3.0, 5.0), torch.zeros(2, 2, device=device)
+    launch(_scaled, 2, kept, y)
+    launch(_scaled, 2, wp.vec2(7.0, 7.0), y)
+    assert list(kept) == [3.0, 5.0]
+    launch(_scaled, 2, kept, y)
+    assert y.tolist() == [[3.0, 5.0], [3.0, 5.0]]
+
+
+def test_tensors_of_another_layout_are_read_right(device):
+    """The fast path is for contiguous tensors; others go through Warp's own conversion, between fast ones."""
+    rows = torch.arange(12.0, device=device).reshape(3, 4)
+    for x in (rows[:, 1:3].contiguous(), rows[:, 1:3], rows[:, :2].contiguous()):
+        y = torch.zeros(3, 2, device=device)
+        launch(_affine, 3, 0, x, wp.vec2(1.0, 1.0), 0.0, y)
+        assert torch.equal(y, x)
+
+
+def test_nothing_to_run_and_too_few_arguments(device):
+    empty = torch.zeros(0, 2, device=device)
+    assert affine(empty, wp.vec2(1.0, 1.0), 0.0).shape == (0, 2)
+    with pytest.raises(TypeError, match="takes 5 arguments"):
+        launch(_affine, 1, 0, empty)
+    with pytest.raises(TypeError, match="at least one tensor"):
+        launch(_affine, 1, 0, 1.0)
+
+
+def test_a_wrong_dtype_is_refused_also_after_a_right_one(device):
+    x = torch.ones(2, 2, device=device)
+    affine(x, wp.vec2(1.0, 1.0), 0.0)
+    with pytest.raises(RuntimeError):
+        affine(x.double(), wp.vec2(1.0, 1.0), 0.0)
