@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass, replace
 
 import torch
@@ -46,9 +47,17 @@ class Camera:
 
     def ray_directions(self) -> torch.Tensor:
         """(H, W, 3) unit directions in world space from the camera through each pixel centre."""
-        options = {"dtype": self.world_to_camera.dtype, "device": self.world_to_camera.device}
-        x = (torch.arange(self.width, **options) + 0.5 - self.cx) / self.fx
-        y = (torch.arange(self.height, **options) + 0.5 - self.cy) / self.fy
-        y, x = torch.meshgrid(y, x, indexing="ij")
-        in_camera = torch.stack([x, y, torch.ones_like(x)], dim=-1)
-        return torch.nn.functional.normalize(in_camera @ self.world_to_camera[:3, :3], dim=-1)
+        transform = self.world_to_camera
+        rays = _unit_rays(self.fx, self.fy, self.cx, self.cy, self.width, self.height, transform.dtype, transform.device)
+        return rays @ transform[:3, :3]
+
+
+@functools.lru_cache(maxsize=4)
+def _unit_rays(
+    fx: float, fy: float, cx: float, cy: float, width: int, height: int, dtype: torch.dtype, device: torch.device
+) -> torch.Tensor:
+    """(H, W, 3) unit directions in camera space: the same for every view of a sequence."""
+    x = (torch.arange(width, dtype=dtype, device=device) + 0.5 - cx) / fx
+    y = (torch.arange(height, dtype=dtype, device=device) + 0.5 - cy) / fy
+    y, x = torch.meshgrid(y, x, indexing="ij")
+    return torch.nn.functional.normalize(torch.stack([x, y, torch.ones_like(x)], dim=-1), dim=-1)

@@ -5,14 +5,29 @@ from __future__ import annotations
 import struct
 import zlib
 from pathlib import Path
-from typing import BinaryIO, Literal
+from typing import BinaryIO, Literal, NamedTuple
 
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813 - the name its own documentation uses
 
 from samira_warp.errors import UserError
 
+_FONT_SHARE, _BASELINE = 0.75, 0.75
+"""Size of letters in a line of text, and where they stand, as shares of its height: room for what hangs below."""
+
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
+
+
+class Channels(NamedTuple):
+    """A file's channels as they are stored.
+
+    Attributes:
+        pixels: (H, W, C) float32: display values in 0..1 of files of whole numbers, the stored values of floating-point files.
+        names: C names, such as R, G, B, A.
+    """
+
+    pixels: np.ndarray
+    names: tuple[str, ...]
 
 
 def image_size(path: Path) -> tuple[int, int]:
@@ -25,6 +40,18 @@ def image_size(path: Path) -> tuple[int, int]:
     width, height = image.spec().width, image.spec().height
     image.close()
     return width, height
+
+
+def is_linear(path: Path) -> bool:
+    """Whether a file holds floating-point values, which are linear radiance, from the header alone.
+
+    Raises:
+        UserError: The file is missing or its header is not an image's.
+    """
+    image = _open(path, whole=False)
+    kind = image.spec().format.basetype
+    image.close()
+    return kind in (oiio.HALF, oiio.FLOAT, oiio.DOUBLE)
 
 
 def read_image(path: Path, *, channels: Literal[1, 3]) -> np.ndarray:
@@ -46,6 +73,17 @@ def read_image(path: Path, *, channels: Literal[1, 3]) -> np.ndarray:
     if channels == 1:
         return colour.mean(axis=2, keepdims=True)
     return np.repeat(colour, 3, axis=2) if colour.shape[2] == 1 else colour
+
+
+def read_channels(path: Path) -> Channels:
+    """Every channel of an image by name.
+
+    Raises:
+        UserError: The file is missing or cannot be decoded.
+    """
+    image = _open(path, whole=True)
+    names = tuple(image.spec().channelnames)
+    return Channels(_decode(image, path, oiio.FLOAT), names)
 
 
 def read_rgba(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
@@ -142,6 +180,20 @@ def resize_nearest(array: np.ndarray, *, width: int, height: int) -> np.ndarray:
     rows = (np.arange(height) * 2 + 1) * array.shape[0] // (2 * height)
     columns = (np.arange(width) * 2 + 1) * array.shape[1] // (2 * width)
     return array[rows[:, None], columns[None, :]]
+
+
+def text_line(text: str, *, width: int, height: int) -> np.ndarray:
+    """(height, width, 3) float32: one line of black text in the middle of a white strip; what is too long loses its middle."""
+    strip = oiio.ImageBuf(oiio.ImageSpec(width, height, 3, oiio.FLOAT))
+    oiio.ImageBufAlgo.fill(strip, (1.0, 1.0, 1.0))
+    font_size = max(round(_FONT_SHARE * height), 1)
+    shown, kept = text, len(text)
+    while kept > 1 and oiio.ImageBufAlgo.text_size(shown, font_size).width > width:
+        kept -= 1
+        shown = f"{text[: (kept + 1) // 2]}...{text[len(text) - kept // 2 :]}"
+    baseline = round(_BASELINE * height)
+    oiio.ImageBufAlgo.render_text(strip, width // 2, baseline, shown, font_size, "", (0.0, 0.0, 0.0), "center", "baseline")
+    return strip.get_pixels(oiio.FLOAT)
 
 
 def _box_weights(old: int, new: int, dtype: np.dtype) -> np.ndarray:

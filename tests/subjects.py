@@ -114,7 +114,7 @@ def small_avatar(*, gaussians=200, perturb=0.0, motion=None, light_sizes=None, d
             gaussians=start,
             image_features=features,
             statistics=ConditionStatistics.of([conditions_of(parameters(seed)) for seed in range(6)]),
-            light=LearnableLight(torch.tensor([1.0, 0.9, 0.8]), **(light_sizes or {})),
+            light=LearnableLight(torch.tensor([1.0, 0.9, 0.8]), tied=settings.get("tied_light", False), **(light_sizes or {})),
         )
         if perturb:
             torch.nn.init.normal_(avatar.motion.residual.weight, std=perturb)

@@ -63,7 +63,7 @@ def main(config: ExportConfig) -> None:
 def splat_columns(avatar: Avatar, parameters: FrameParameters) -> dict[str, np.ndarray]:
     """The columns of a 3DGS file in their order, each (N,)."""
     moved = avatar.move(parameters).gaussians
-    display = avatar.display_albedo(avatar.gaussians.albedo)
+    display = avatar.display(avatar.gaussians.albedo)
     zeros = torch.zeros(len(moved.means), SH_REST)
     groups = {
         ("x", "y", "z"): moved.means,

@@ -2,6 +2,7 @@
 
 from samira_warp.avatar.avatar import Avatar, AvatarSettings, Motion, Rendering, conditions_of
 from samira_warp.avatar.canonical import CanonicalHead
+from samira_warp.avatar.editing import MaterialEdit
 from samira_warp.avatar.frames import DrivingFrame, read_frames, write_frames
 from samira_warp.avatar.gaussians import Gaussians
 from samira_warp.avatar.gbuffer import GBuffer, SurfaceAttributes
@@ -14,6 +15,7 @@ __all__ = [
     "DrivingFrame",
     "GBuffer",
     "Gaussians",
+    "MaterialEdit",
     "Motion",
     "Rendering",
     "SurfaceAttributes",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -11,19 +11,20 @@ import torch
 from torch import nn
 
 from samira_warp.avatar.canonical import CanonicalHead, neck_rotation
+from samira_warp.avatar.editing import MaterialEdit, edit_materials
 from samira_warp.avatar.gaussians import Gaussians
 from samira_warp.avatar.gbuffer import GBuffer, SurfaceAttributes, render_gbuffer
 from samira_warp.avatar.residual import axis_angle_to_quaternion, limit_residual, quaternion_product
 from samira_warp.avatar.response import response_factors, response_map
 from samira_warp.avatar.storage import DESCRIPTION_FILE, TENSORS_FILE, StoredAvatar, find_avatar, read_avatar, write_avatar
 from samira_warp.camera import Camera
-from samira_warp.constants import COVERED_ALPHA
 from samira_warp.errors import UserError
 from samira_warp.head import REGIONS, FrameParameters, PosedHead, UvAtlas
 from samira_warp.kernels.binding import BoundGaussians, FaceBinding, bind
 from samira_warp.kernels.gather import GatherTable, bilinear_table, gather
 from samira_warp.kernels.triangle_frames import triangle_frames
-from samira_warp.light import Environment, FilteredLight, LearnableLight, Shaded, compose, encode_srgb, shade
+from samira_warp.light import ColorSpace, Environment, FilteredLight, LearnableLight, Shaded, shade, to_display
+from samira_warp.light.equirect import turn_directions
 from samira_warp.nets import Conditions, ConditionStatistics, MotionNetwork, MotionSettings
 
 DISPLACEMENT_UNIT = 0.01
@@ -45,6 +46,7 @@ class AvatarSettings:
         displacement_frame: "head" removes the neck joint's motion from D_uv; "world" is the literal Eq. uv_displacement.
         residual_frame: Axes of the residual: "world" is Eq. final_motion; "head" turns with the neck joint.
         color_space: "srgb" shades in linear light and encodes; "raw" shades in image values.
+        tied_light: The learned light is one map for diffuse and specular light, instead of two.
     """
 
     uv_size: int = 256
@@ -54,6 +56,7 @@ class AvatarSettings:
     displacement_frame: Literal["head", "world"] = "head"
     residual_frame: Literal["world", "head"] = "world"
     color_space: Literal["srgb", "raw"] = "srgb"
+    tied_light: bool = False
 
 
 class Motion(NamedTuple):
@@ -82,7 +85,7 @@ class Rendering:
         irradiance: (H, W, 3) L_d, linear.
         specular_light: (H, W, 3) L_s, linear.
         motion: The Gaussians behind the G-buffer.
-        albedo: (H, W, 3) display values of the G-buffer's albedo.
+        color_space: What the shading behind ``image`` worked in.
     """
 
     image: torch.Tensor
@@ -90,7 +93,12 @@ class Rendering:
     irradiance: torch.Tensor
     specular_light: torch.Tensor
     motion: Motion
-    albedo: torch.Tensor
+    color_space: ColorSpace
+
+    @property
+    def albedo(self) -> torch.Tensor:
+        """(H, W, 3) display values of the G-buffer's albedo."""
+        return to_display(self.gbuffer.albedo, color_space=self.color_space)
 
 
 class Avatar(nn.Module):
@@ -168,8 +176,8 @@ class Avatar(nn.Module):
         )
         return Motion(head, refined, *limit_residual(residual))
 
-    def surface(self, motion: Motion) -> SurfaceAttributes:
-        """Materials, world-space normals and sampled response factors of every Gaussian."""
+    def surface(self, motion: Motion, *, edits: Sequence[MaterialEdit] = ()) -> SurfaceAttributes:
+        """Materials, world-space normals and sampled response factors of every Gaussian, the materials changed by ``edits``."""
         g = self.gaussians
         if self.settings.response:
             factors = response_map(response_factors(self.response_logits), self.canonical.atlas.soft_masks)
@@ -177,12 +185,21 @@ class Avatar(nn.Module):
         else:
             response = torch.ones(len(g), 2, device=g.means.device)
         diffuse, specular = response.split(1, dim=1)
-        return SurfaceAttributes(g.albedo, motion.gaussians.normals, g.roughness[:, None], g.specular[:, None], diffuse, specular)
+        surface = SurfaceAttributes(g.albedo, motion.gaussians.normals, g.roughness[:, None], g.specular[:, None], diffuse, specular)
+        if not edits:
+            return surface
+        return edit_materials(surface, edits, self.region_weights(), color_space=self.settings.color_space)
 
-    def rasterize(self, motion: Motion, camera: Camera) -> GBuffer:
-        """The G-buffer of moved Gaussians."""
+    def region_weights(self) -> torch.Tensor:
+        """(N, K) shares of the regions in each Gaussian; they sum to 1 where its surface is in some mask of the template, else to 0."""
+        soft_masks = self.canonical.atlas.soft_masks
+        return gather(soft_masks.flatten(1).T.contiguous(), self.uv_samples)
+
+    def rasterize(self, motion: Motion, camera: Camera, *, edits: Sequence[MaterialEdit] = ()) -> GBuffer:
+        """The G-buffer of moved Gaussians, their materials changed by ``edits``."""
         moved = motion.gaussians
-        return render_gbuffer(moved.means, moved.quaternions, moved.scales, self.gaussians.opacities, self.surface(motion), camera)
+        surface = self.surface(motion, edits=edits)
+        return render_gbuffer(moved.means, moved.quaternions, moved.scales, self.gaussians.opacities, surface, camera)
 
     def render(
         self,
@@ -190,8 +207,10 @@ class Avatar(nn.Module):
         camera: Camera,
         environment: Environment | FilteredLight | None = None,
         *,
+        rotate: float = 0.0,
         background: torch.Tensor | float = 1.0,
         exposure: float = 1.0,
+        edits: Sequence[MaterialEdit] = (),
     ) -> Rendering:
         """Render one frame.
 
@@ -200,16 +219,18 @@ class Avatar(nn.Module):
             camera: The view, on any device.
             environment: The light, on any device; None is the learned capture light. To reuse an environment, filter it once
                 (`Environment.filtered`).
+            rotate: Degrees by which the light is turned about the vertical, as `Environment.load` does it.
             background: Display values behind the head: a number or (H, W, 3).
             exposure: Factor on the shaded linear colour.
+            edits: Changes to the materials, applied in their order.
         """
         device = self.gaussians.means.device
         camera = camera.to(device)
         motion = self.move(parameters.to(device))
-        gbuffer = self.rasterize(motion, camera)
+        gbuffer = self.rasterize(motion, camera, edits=edits)
         light = environment.filtered() if isinstance(environment, Environment) else environment
         light = self.light() if light is None else light.to(device)
-        return self.shade(motion, gbuffer, camera, light, background=background, exposure=exposure)
+        return self.shade(motion, gbuffer, camera, light, rotate=rotate, background=background, exposure=exposure)
 
     def shade(
         self,
@@ -218,22 +239,21 @@ class Avatar(nn.Module):
         camera: Camera,
         light: FilteredLight,
         *,
+        rotate: float = 0.0,
         background: torch.Tensor | float = 1.0,
         exposure: float = 1.0,
     ) -> Rendering:
-        """Deferred shading and compositing of a G-buffer (Eqs. response_shading to alpha_compose)."""
-        shaded = _shade_pixels(gbuffer, camera, light)
-        covered = gbuffer.alpha >= COVERED_ALPHA
-        color = torch.where(covered, shaded.color, torch.zeros_like(shaded.color))
-        image = compose(color, gbuffer.alpha, background, exposure=exposure, color_space=self.settings.color_space)
-        return Rendering(image, gbuffer, shaded.irradiance, shaded.specular_light, motion, self.display_albedo(gbuffer.albedo))
+        """Deferred shading and compositing of a G-buffer (Eqs. response_shading to alpha_compose); the other arguments as for `render`."""
+        display = {"background": background, "exposure": exposure, "color_space": self.settings.color_space}
+        shaded = _shade_pixels(gbuffer, camera, light, rotate=rotate, **display)
+        return Rendering(shaded.image, gbuffer, shaded.irradiance, shaded.specular_light, motion, self.settings.color_space)
 
-    def display_albedo(self, albedo: torch.Tensor) -> torch.Tensor:
-        """Albedo as a picture: sRGB-encoded where shading is linear, as it is where shading works in image values."""
-        return encode_srgb(albedo) if self.settings.color_space == "srgb" else albedo
+    def display(self, values: torch.Tensor) -> torch.Tensor:
+        """Albedo or radiance as a picture: sRGB-encoded where shading is linear, as it is where shading works in image values."""
+        return to_display(values, color_space=self.settings.color_space)
 
     def save(self, folder: Path, *, record: dict[str, Any]) -> None:
-        """Write the avatar's files into an existing folder: all that rendering needs, no pickle.
+        """Write the avatar's files into an existing folder: all that rendering needs, no pickle, and its learned light as two maps.
 
         Args:
             folder: Where.
@@ -244,6 +264,7 @@ class Avatar(nn.Module):
         if self.canonical.static_offset is not None:
             tensors["static_offset"] = self.canonical.static_offset
         write_avatar(folder, settings=self.settings, record=record, tensors=tensors, template=template)
+        self.light.environment().save(folder)
 
     @classmethod
     def load(cls, path: str | Path, *, device: torch.device | str = "cpu") -> Avatar:
@@ -277,7 +298,7 @@ class Avatar(nn.Module):
             gaussians=Gaussians({name: tensors[f"gaussians.{name}"] for name in (*Gaussians.PARAMETERS, *Gaussians.CONSTANTS)}),
             image_features=[tensors[name] for name in levels],
             statistics=ConditionStatistics(expression_size=stored.template.n_expression, pose_size=POSE_SIZE),
-            light=LearnableLight(torch.ones(3)),
+            light=LearnableLight(torch.ones(3), tied=settings.tied_light),
         )
         avatar.load_state_dict(tensors)
         return avatar
@@ -299,11 +320,26 @@ def conditions_of(parameters: FrameParameters) -> Conditions:
     return Conditions(parameters.translation, parameters.expression, pose)
 
 
-def _shade_pixels(gbuffer: GBuffer, camera: Camera, light: FilteredLight) -> Shaded:
-    """Shade every pixel of a G-buffer; the maps of the result are (H, W, 3)."""
+def _shade_pixels(
+    gbuffer: GBuffer,
+    camera: Camera,
+    light: FilteredLight,
+    *,
+    rotate: float,
+    background: torch.Tensor | float,
+    exposure: float,
+    color_space: ColorSpace,
+) -> Shaded:
+    """Shade and compose every pixel of a G-buffer; the maps of the result are (H, W, 3)."""
     view = -camera.ray_directions()
     flat = {name: getattr(gbuffer, name).flatten(0, 1) for name in SurfaceAttributes._fields}
-    shaded = shade(**flat, view=view.flatten(0, 1), light=light)
+    if rotate != 0.0:
+        # A light that turns is seen by a scene that turns the other way: nothing has to be filtered again.
+        view, flat["normal"] = turn_directions(view, rotate), turn_directions(flat["normal"], rotate)
+    if isinstance(background, torch.Tensor):
+        background = background.expand_as(gbuffer.albedo).flatten(0, 1)
+    display = {"background": background, "exposure": exposure, "color_space": color_space}
+    shaded = shade(**flat, view=view.flatten(0, 1), light=light, alpha=gbuffer.alpha.flatten(0, 1), **display)
     return Shaded(*(value.unflatten(0, gbuffer.alpha.shape[:2]) for value in shaded))
 
 

@@ -15,8 +15,11 @@ from samira_warp.errors import UserError
 from samira_warp.files import read_json, save_tensors
 from samira_warp.head import HeadTemplate, read_template, save_template
 
-FORMAT = 1
+FORMAT = 2
 """Version of the folder's layout."""
+
+UNTIED_FORMAT = 1
+"""The version that did not say whether the learned light is one map or two: it always was two."""
 
 DESCRIPTION_FILE = "avatar.json"
 TENSORS_FILE = "avatar.safetensors"
@@ -75,8 +78,8 @@ def read_avatar(folder: Path, *, device: torch.device | str) -> StoredAvatar:
         UserError: A file is missing, broken, or of another format; the template is not the one that the avatar was made with.
     """
     description = read_json(folder / DESCRIPTION_FILE)
-    if description.get("format") != FORMAT:
-        raise UserError(folder / DESCRIPTION_FILE, expected=f"format {FORMAT}", found=description.get("format"))
+    if description.get("format") not in (UNTIED_FORMAT, FORMAT):
+        raise UserError(folder / DESCRIPTION_FILE, expected=f"format {UNTIED_FORMAT} or {FORMAT}", found=description.get("format"))
     for part in ("settings", "record"):
         if not isinstance(description.get(part), dict):
             raise UserError(folder / DESCRIPTION_FILE, expected=f"an object {part!r}", found=type(description.get(part)).__name__)
@@ -88,4 +91,7 @@ def read_avatar(folder: Path, *, device: torch.device | str) -> StoredAvatar:
     recorded = str(description["record"].get("template"))
     if template.hash != recorded:
         raise UserError(folder / TEMPLATE_FILE, expected=f"the template {recorded[:12]}", found=template.hash[:12])
-    return StoredAvatar(description["settings"], description["record"], tensors, template)
+    settings = description["settings"]
+    if description["format"] == UNTIED_FORMAT:
+        settings = {**settings, "tied_light": False}
+    return StoredAvatar(settings, description["record"], tensors, template)

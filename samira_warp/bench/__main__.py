@@ -5,12 +5,14 @@ from __future__ import annotations
 import importlib
 import sys
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 import tyro
 
 from samira_warp.cli import run
 from samira_warp.devices import DeviceName, pick_device
+from samira_warp.errors import UserError
 
 
 @dataclass(frozen=True)
@@ -23,12 +25,17 @@ class BenchConfig:
     """Where to compute."""
     json: bool = False
     """Print JSON instead of a table."""
+    hdri: Path | None = None
+    """light: also shade a sphere and a head under every map of this folder, against Monte Carlo (minutes)."""
 
 
 def main(config: BenchConfig) -> None:
     """Run one benchmark."""
     device = str(pick_device(config.device))
-    importlib.import_module(f"samira_warp.bench.{config.what}").main(device, config.json)
+    if config.hdri is not None and config.what != "light":
+        raise UserError("--hdri", expected="bench light", found=f"bench {config.what}")
+    options = {"hdri": config.hdri} if config.what == "light" else {}
+    importlib.import_module(f"samira_warp.bench.{config.what}").main(device, config.json, **options)
 
 
 if __name__ == "__main__":

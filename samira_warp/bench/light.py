@@ -4,15 +4,19 @@ from __future__ import annotations
 
 import json as json_module
 import statistics
+import tempfile
 import time
 from collections.abc import Callable
+from pathlib import Path
 
+import OpenImageIO
 import torch
 
+from samira_warp.bench.light_table import light_table, print_light_table
+from samira_warp.kernels.cubemap import texel_directions, texel_solid_angles
 from samira_warp.kernels.cubemap_filter import irradiance, prefilter
 from samira_warp.light.environment import Environment
-from samira_warp.light.equirect import equirect_to_cube
-from samira_warp.light.filtered import FilteredLight
+from samira_warp.light.filtered import ROUGHNESS_STEP, FilteredLight
 from samira_warp.light.learnable import LearnableLight
 from samira_warp.light.shading import shade
 from samira_warp.reference import filtering as reference
@@ -24,12 +28,21 @@ BRUTE_FORCE_LADDER = ((0.25, 16), (0.5, 8), (1.0, 8))
 """Roughness and size at which filters are compared with float64 sums over all pairs of texels."""
 
 
-def main(device: str, json: bool) -> None:
+ENVIRONMENT_SIZE = 256
+"""Texels along a face of a relighting environment."""
+
+CHECKED_TEXELS = 24
+"""Texels of each of its mips that are summed again in float64."""
+
+
+def main(device: str, json: bool, hdri: Path | None = None) -> None:
     """Measure on ``device`` and print a table, or with ``json`` one object.
 
     Its fields: ``furnace_max_error``, over all mips and the irradiance of a uniform light of 1; ``bruteforce_max_error``, over one-hot and
-    random maps, by the peak; ``step_ms``, a training step's filtering, forward and adjoint; ``shade_ms`` and ``shade_adjoint_ms``, of
-    65,536 pixels under the learned light; ``environment_ms``, a panorama of 1024 x 512 in memory to a filtered environment of 256.
+    random maps, by the peak; ``environment_max_error``, the same of a relighting environment of 256, at some of its texels;
+    ``step_ms``, a training step's filtering, forward and adjoint; ``shade_ms`` and ``shade_adjoint_ms``, of 65,536 pixels under the learned
+    light; ``shade_quarter_ms`` and ``shade_quarter_adjoint_ms``, with three quarters of them uncovered; ``environment_ms``, a file of
+    1024 x 512 pixels to a filtered environment of 256; ``monte_carlo``, see `bench.light_table`, for the maps in the folder ``hdri``.
     """
     place = torch.device(device)
     row = {
@@ -37,15 +50,19 @@ def main(device: str, json: bool) -> None:
         "threads": torch.get_num_threads(),
         "furnace_max_error": _furnace_error(place),
         "bruteforce_max_error": _brute_force_error(place),
+        "environment_max_error": _environment_error(place),
         "step_ms": _step_ms(place),
         **_shade_ms(place),
         "environment_ms": _environment_ms(place),
     }
+    table = light_table(hdri, place) if hdri else []
     if json:
-        print(json_module.dumps(row))
+        print(json_module.dumps({**row, "monte_carlo": table}))
         return
     for name, value in row.items():
-        print(f"{name:22} {value:.3g}" if isinstance(value, float) else f"{name:22} {value}")
+        print(f"{name:26} {value:.3g}" if isinstance(value, float) else f"{name:26} {value}")
+    if table:
+        print_light_table(table)
 
 
 def _furnace_error(device: torch.device) -> float:
@@ -64,6 +81,27 @@ def _brute_force_error(device: torch.device) -> float:
         exact = (reference.irradiance(base), *reference.prefilter(base, ladder=BRUTE_FORCE_LADDER)[1:])
         ours = (irradiance(single), *prefilter(single, ladder=BRUTE_FORCE_LADDER)[1:])
         worst = max(worst, *(((a.cpu() - b).abs().max() / b.max()).item() for a, b in zip(ours, exact, strict=True)))
+    return worst
+
+
+def _environment_error(device: torch.device) -> float:
+    """Against sums over all texels of the base, by the peak of each mip: a random map with one bright texel."""
+    generator = torch.Generator().manual_seed(0)
+    size = ENVIRONMENT_SIZE
+    base = torch.rand(6, size, size, 1, generator=generator)
+    base[3, size // 3, size // 8] = 1e4
+    light = FilteredLight.of(base.to(device), base.to(device))
+    areas = texel_solid_angles(size, dtype=torch.float64).expand(6, size, size).flatten()
+    sources, values = texel_directions(size, dtype=torch.float64).view(-1, 3), base.double().view(-1)
+    worst = 0.0
+    for roughness, mip in [(1.0, light.irradiance), *((ROUGHNESS_STEP * k, mip) for k, mip in enumerate(light.specular) if k)]:
+        found = mip.cpu().double().view(-1)
+        # The brightest texel, where the lobe of the bright one peaks, and others at random.
+        chosen = torch.cat([found.argmax()[None], torch.randint(len(found), (CHECKED_TEXELS - 1,), generator=generator)])
+        cosine = texel_directions(mip.shape[1], dtype=torch.float64).view(-1, 3)[chosen] @ sources.T
+        weights = cosine.clamp(min=0) * areas / ((1 + cosine) / 2 * (roughness**4 - 1) + 1) ** 2
+        exact = weights @ values / (torch.pi if mip is light.irradiance else weights.sum(dim=1))
+        worst = max(worst, ((found[chosen] - exact).abs().max() / exact.max()).item())
     return worst
 
 
@@ -89,25 +127,28 @@ def _shade_ms(device: torch.device) -> dict[str, float]:
     light = LearnableLight(torch.ones(3)).to(device)()
     maps = [mip.detach().requires_grad_() for mip in _maps(light)]
     light = FilteredLight(maps[0], tuple(maps[1:]))
-    color = shade(*values, view, light).color
-    upstream = torch.ones_like(color)
-    return {
-        "shade_ms": _median_ms(lambda: shade(*values, view, light), device, repeats=11),
-        "shade_adjoint_ms": _median_ms(
-            lambda: torch.autograd.grad(color, [*values, *maps], upstream, retain_graph=True), device, repeats=11
-        ),
-    }
+    times = {}
+    for name, covered in (("shade", 1.0), ("shade_quarter", 0.25)):
+        alpha = (torch.arange(SHADED_PIXELS) < covered * SHADED_PIXELS).float()[:, None].to(device).requires_grad_()
+
+        def run(alpha: torch.Tensor = alpha) -> torch.Tensor:
+            return shade(*values, view, light, alpha=alpha).image
+
+        def back(image: torch.Tensor, alpha: torch.Tensor = alpha) -> None:
+            torch.autograd.grad(image, [*values, alpha, *maps], torch.ones_like(image), retain_graph=True)
+
+        image = run()
+        times[f"{name}_ms"] = _median_ms(run, device, repeats=11)
+        times[f"{name}_adjoint_ms"] = _median_ms(lambda image=image, back=back: back(image), device, repeats=11)
+    return times
 
 
 def _environment_ms(device: torch.device) -> float:
-    generator = torch.Generator().manual_seed(0)
-    panorama = torch.rand(512, 1024, 3, generator=generator).to(device)
-
-    def load() -> None:
-        radiance = equirect_to_cube(panorama, size=256)
-        Environment(radiance, radiance).filtered()
-
-    return _median_ms(load, device, repeats=3)
+    panorama = torch.rand(512, 1024, 3, generator=torch.Generator().manual_seed(0))
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "light.hdr"
+        OpenImageIO.ImageBuf(panorama.numpy()).write(str(path))
+        return _median_ms(lambda: Environment.load(path, size=ENVIRONMENT_SIZE).to(device).filtered(), device, repeats=3)
 
 
 def _maps(light: FilteredLight) -> list[torch.Tensor]:

@@ -6,6 +6,7 @@ the GGX lobe is between normal and light, (n . h)^2 = (1 + n . l) / 2, so that w
     k(c) = max(c, 0) D_GGX / D_GGX(1) = max(c, 0) alpha^4 / (alpha^2 + (1 - alpha^2) (1 - c) / 2)^2
 
 and alpha = 1 leaves the cosine. The symmetries of the cube (`kernels.cubemap_symmetry`) turn the sum into eight matrix products.
+Small filters, such as a training step's, keep the matrices; for large ones `kernels.cubemap_filter_cpu` makes them within the product.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import warp as wp
 
 from samira_warp.errors import UserError
 from samira_warp.kernels.cubemap import FACES, texel_directions, texel_solid_angles
+from samira_warp.kernels.cubemap_filter_cpu import sum_lobes
 from samira_warp.kernels.cubemap_symmetry import (
     OCTANTS,
     PERMUTATIONS,
@@ -31,11 +33,11 @@ from samira_warp.kernels.cubemap_symmetry import (
 from samira_warp.kernels.runtime import launch_range
 from samira_warp.validation import check_tensor
 
-_CACHED_WEIGHTS = 1 << 24
-"""A filter of at most this many stored weights (64 MB) keeps them; a larger one makes them anew, block by block."""
+_CACHED_WEIGHTS = 1 << 22
+"""A filter of at most this many weights (16 MB) keeps them, as all of a training step's do; a larger one makes them anew each time."""
 
 _BLOCK_WEIGHTS = 1 << 21
-"""Weights made at a time by a larger filter: 8 MB, which stay in a shared cache between making and use."""
+"""Weights made at a time by a larger filter on a GPU: 8 MB, which stay in its cache between making and use."""
 
 _BLOCK_WIDTH = 4096
 """Texels of such a block."""
@@ -95,12 +97,7 @@ class _Filters(torch.autograd.Function):
         parts = _spread(base)
         results, scales = [], []
         for lobe in lobes:
-            rows = len(symmetry(lobe.size, base.device).representatives)
-            products, sums = base.new_zeros(OCTANTS, parts.shape[1], rows), base.new_zeros(rows)
-            for block, texels, weights in _weights(base.shape[1], lobe, base.device):
-                products[..., block] += parts[..., texels] @ weights.transpose(1, 2)
-                # The even parity of a row is the sum over the octants.
-                sums[block] += weights[0].sum(dim=1)
+            products, sums = _sum_over_texels(parts, base.shape[1], lobe)
             scales.append(1.0 / sums if lobe.normalised else torch.full_like(sums, 1.0 / torch.pi))
             products = (products * scales[-1]).transpose(1, 2).reshape(-1, base.shape[-1])
             results.append(_from_parities(products[result_table(lobe.size, base.device)], lobe.size) / OCTANTS)
@@ -117,8 +114,7 @@ class _Filters(torch.autograd.Function):
             # No row of the products is read twice, so this copies and never adds.
             products[result_table(lobe.size, device)] = _to_parities(grad) / OCTANTS
             products = (products.view(OCTANTS, -1, columns) * scale[:, None]).transpose(1, 2).contiguous()
-            for block, texels, weights in _weights(ctx.base_size, lobe, device):
-                parts[..., texels] += products[..., block] @ weights
+            parts += _sum_over_results(products, ctx.base_size, lobe)
         return _collect(parts, ctx.base_size), None
 
 
@@ -153,11 +149,46 @@ def _from_parities(parts: torch.Tensor, size: int) -> torch.Tensor:
     return result.view(FACES, size, size, -1)
 
 
+def _sum_over_texels(parts: torch.Tensor, base_size: int, lobe: Lobe) -> tuple[torch.Tensor, torch.Tensor]:
+    """(8, 6 C, R) products of parity parts (8, 6 C, U) of the base with a filter's eight matrices, and (R,) the sums of its weights."""
+    device = parts.device
+    if _is_fused(base_size, lobe, device):
+        return sum_lobes(_representatives(lobe.size, device), _octant(base_size, device), parts, lobe.alpha)
+    rows = len(symmetry(lobe.size, device).representatives)
+    products, sums = parts.new_zeros(OCTANTS, parts.shape[1], rows), parts.new_zeros(rows)
+    for block, texels, weights in _weights(base_size, lobe, device):
+        products[..., block] += parts[..., texels] @ weights.transpose(1, 2)
+        # The even parity of a row is the sum over the octants.
+        sums[block] += weights[0].sum(dim=1)
+    return products, sums
+
+
+def _sum_over_results(products: torch.Tensor, base_size: int, lobe: Lobe) -> torch.Tensor:
+    """(8, 6 C, U) transpose of `_sum_over_texels`, of (8, 6 C, R)."""
+    device = products.device
+    octant = _octant(base_size, device)
+    if _is_fused(base_size, lobe, device):
+        return octant[3] * sum_lobes(octant, _representatives(lobe.size, device), products, lobe.alpha)[0]
+    parts = products.new_zeros(*products.shape[:2], octant.shape[1])
+    for block, texels, weights in _weights(base_size, lobe, device):
+        parts[..., texels] += products[..., block] @ weights
+    return parts
+
+
+def _is_fused(base_size: int, lobe: Lobe, device: torch.device) -> bool:
+    """Whether the weights of a filter are better made within its sums: too many to keep, and on a CPU, whose memory is slow."""
+    return device.type == "cpu" and _weight_count(base_size, lobe, device) > _CACHED_WEIGHTS
+
+
+def _weight_count(base_size: int, lobe: Lobe, device: torch.device) -> int:
+    return FACES * base_size**2 * len(symmetry(lobe.size, device).representatives)
+
+
 def _weights(base_size: int, lobe: Lobe, device: torch.device) -> Iterator[tuple[slice, slice, torch.Tensor]]:
     """Blocks (rows, texels, (8, rows, texels) weights) of the eight matrices of a filter, before normalisation."""
     rows = len(symmetry(lobe.size, device).representatives)
     texels = FACES * base_size * base_size // OCTANTS
-    if OCTANTS * rows * texels <= _CACHED_WEIGHTS:
+    if _weight_count(base_size, lobe, device) <= _CACHED_WEIGHTS:
         yield slice(0, rows), slice(0, texels), _stored_weights(base_size, lobe.size, lobe.alpha, device)
         return
     width = min(texels, _BLOCK_WIDTH)
@@ -180,16 +211,17 @@ def _make_weights(base_size: int, size: int, alpha: float, rows: slice, texels: 
     weights = torch.empty(OCTANTS, height, width, device=device)
     # On the CPU a thread's inner loop is vectorised over a row's texels; on a GPU neighbouring threads take neighbouring texels.
     run = 1 if device.type == "cuda" else width
-    normals, octant = _normals(size, device), _octant(base_size, device)
+    normals, octant = _representatives(size, device)[:3].T.contiguous(), _octant(base_size, device)
     launch_range(_lobe_parities, height * (width // run), normals, octant, alpha * alpha, rows.start, texels.start, run, weights)
     return weights
 
 
 @functools.lru_cache(maxsize=16)
-def _normals(size: int, device: torch.device) -> torch.Tensor:
-    """(R, 3) directions of the representatives."""
+def _representatives(size: int, device: torch.device) -> torch.Tensor:
+    """(4, R): x, y and z of the directions of the representatives, and ones."""
     tables = symmetry(size, device)
-    return texel_directions(size, device=device).view(-1, 3)[tables.flips[0][tables.representatives]].contiguous()
+    directions = texel_directions(size, device=device).view(-1, 3)[tables.flips[0][tables.representatives]]
+    return torch.cat([directions, torch.ones_like(directions[:, :1])], dim=-1).T.contiguous()
 
 
 @functools.lru_cache(maxsize=16)

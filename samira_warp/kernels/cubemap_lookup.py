@@ -100,13 +100,10 @@ def texel_gradient(cells: torch.Tensor, places: torch.Tensor, grads: torch.Tenso
     Returns:
         (T, C) float32.
     """
-    lookups, channels, device = cells.numel(), grads.shape[1], grads.device
+    channels, device = grads.shape[1], grads.device
     texels = sum(FACES * size * size for size in sizes)
     count = sum(FACES * (size + 1) ** 2 for size in sizes)
-    keys = torch.empty(2 * lookups, dtype=torch.int32, device=device)
-    order = torch.empty(2 * lookups, dtype=torch.int32, device=device)
-    keys[:lookups] = cells.view(-1)
-    torch.arange(lookups, dtype=torch.int32, device=device, out=order[:lookups])
+    keys, order, lookups = _to_sort(cells.view(-1), count)
     with stream_of(device):
         wp.utils.radix_sort_pairs(warp_array(keys), warp_array(order), lookups, end_bit=count.bit_length())
     starts = torch.empty(count + 1, dtype=torch.int32, device=device)
@@ -117,6 +114,21 @@ def texel_gradient(cells: torch.Tensor, places: torch.Tensor, grads: torch.Tenso
     result = torch.empty(texels, channels, dtype=torch.float32, device=device)
     launch_range(_gather_texels, texels * channels, sums, table, result, grain=_GRAIN)
     return result
+
+
+def _to_sort(cells: torch.Tensor, count: int) -> tuple[torch.Tensor, torch.Tensor, int]:
+    """Keys and values (int32, each with as much room again behind it) of the lookups to sort by cell, and their number.
+
+    On a CPU those to leave out, most of an image's background, stay out of the sort; a GPU would have to wait for their number.
+    """
+    if cells.device.type == "cpu":
+        kept = torch.nonzero(cells < count)[:, 0].to(torch.int32)
+        cells = cells[kept]
+    else:
+        kept = torch.arange(cells.shape[0], dtype=torch.int32, device=cells.device)
+    room = torch.empty(2, 2 * kept.shape[0], dtype=torch.int32, device=cells.device)
+    room[0, : kept.shape[0]], room[1, : kept.shape[0]] = cells, kept
+    return room[0], room[1], kept.shape[0]
 
 
 class _SampleMips(torch.autograd.Function):

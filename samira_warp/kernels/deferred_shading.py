@@ -1,6 +1,7 @@
-"""Deferred shading of a G-buffer in one pass (Eqs. response_shading and pbr_color), and its adjoint in another.
+"""The whole deferred pass over a G-buffer in one kernel (Eqs. response_shading, pbr_color and alpha_compose), and its adjoint in three.
 
-The adjoint recomputes the pass for each point, and leaves the light's texels to `kernels.cubemap_lookup.texel_gradient`.
+Each point is read once, shaded, turned into display values and laid on the background; a point that nothing covers is left at once. The
+adjoint recomputes the pass for each point, and leaves the light's texels to `kernels.cubemap_lookup.texel_gradient`.
 """
 
 from __future__ import annotations
@@ -10,42 +11,34 @@ from typing import Any, NamedTuple
 import torch
 import warp as wp
 
-from samira_warp.kernels.cubemap import (
-    FacePoint,
-    Footprint,
-    bilinear_weights,
-    cell_count,
-    cell_index,
-    cell_texels,
-    footprint,
-    mip_table,
-    project,
-    project_adjoint,
-)
+from samira_warp.constants import COVERED_ALPHA
+from samira_warp.kernels.brdf_lookup import brdf_slope_cosine, brdf_slope_roughness, find_brdf, read_brdf
+from samira_warp.kernels.cubemap import cell_count, cell_index, footprint, mip_table, project, project_adjoint
+from samira_warp.kernels.cubemap_cell import blend_cell, cell_slope, look_up, read_cell
 from samira_warp.kernels.cubemap_lookup import level_moves, lower_level, pack_mips, texel_gradient
+from samira_warp.kernels.display import show, show_adjoint
 from samira_warp.kernels.runtime import launch_range
 
 _GRAIN = 2048
 """Fewer points than this cost less than handing them to a thread."""
 
-GRAZING = wp.constant(1e-6)
-"""Least n . v at which the BRDF table is read: its axis is the root of n . v, whose slope has no bound at 0."""
+_COVERED = wp.constant(COVERED_ALPHA)
 
 
 class Shaded(NamedTuple):
-    """A shaded surface, M points, linear radiance.
+    """A shaded surface, M points.
 
     Attributes:
-        color: (M, 3) C_fg of Eq. pbr_color.
-        irradiance: (M, 3) L_d = tau_d E_d(n).
-        specular_light: (M, 3) L_s = tau_s E_s(n, v, rho), before the BRDF.
-        specular_color: (M, 3) L_s (f B_x + B_y), the specular part of ``color``.
+        color: (M, 3) C_fg of Eq. pbr_color, linear radiance; 0 where nothing covers the point.
+        image: (M, 3) I of Eq. alpha_compose, display values, not clipped.
+        irradiance: (M, 3) L_d = tau_d E_d(n), linear; 0 where nothing covers the point.
+        specular_light: (M, 3) L_s = tau_s E_s(n, v, rho), linear, before the BRDF; 0 where nothing covers the point.
     """
 
     color: torch.Tensor
+    image: torch.Tensor
     irradiance: torch.Tensor
     specular_light: torch.Tensor
-    specular_color: torch.Tensor
 
 
 def shade_gbuffer(
@@ -56,12 +49,19 @@ def shade_gbuffer(
     response_diffuse: torch.Tensor,
     response_specular: torch.Tensor,
     view: torch.Tensor,
+    alpha: torch.Tensor,
     *,
     irradiance: torch.Tensor,
     mips: tuple[torch.Tensor, ...],
     brdf: torch.Tensor,
+    background: torch.Tensor,
+    exposure: float = 1.0,
+    encoded: bool = True,
 ) -> Shaded:
-    """Shade M points: L_d = tau_d E_d(n), L_s = tau_s E_s(reflect(v, n), rho), C_fg = a (1 - f) L_d + L_s (f B_x + B_y).
+    """Shade M points and compose them with what is behind.
+
+    L_d = tau_d E_d(n), L_s = tau_s E_s(reflect(v, n), rho), C_fg = a (1 - f) L_d + L_s (f B_x + B_y), and
+    I = alpha encode(C_fg exposure) + (1 - alpha) background.
 
     Args:
         albedo: (M, 3) float32, as is all else; linear.
@@ -71,58 +71,75 @@ def shade_gbuffer(
         response_diffuse: (M, 1) tau_d.
         response_specular: (M, 1) tau_s.
         view: (M, 3) unit vectors to the camera.
+        alpha: (M, 1) coverage. Below 1/255 there is no surface: C_fg, L_d and L_s are 0, and only alpha itself gets a gradient.
         irradiance: (6, S, S, 3) map of E_d.
         mips: L maps (6, S_l, S_l, 3) of E_s at roughness 0 to 1 in equal steps.
         brdf: (N, N, 2) table of (B_x, B_y) at nodes: rows by roughness, columns by the root of n . v, both from 0 to 1; a constant.
+        background: (M, 3) display values, or (1, 3) for all points; a constant.
+        exposure: Factor on C_fg.
+        encoded: Whether display values are sRGB-encoded, rather than C_fg times the exposure.
 
     Returns:
-        Colours; differentiable in all but ``brdf``.
+        Colours; differentiable in all but ``brdf``, ``background`` and ``exposure``.
     """
     sizes = tuple(mip.shape[1] for mip in mips)
-    surface = (albedo, normal, roughness, specular, response_diffuse, response_specular, view)
-    return Shaded(*_Shade.apply(*surface, irradiance.reshape(-1, 3), pack_mips(mips), brdf, irradiance.shape[1], sizes))
+    surface = (albedo, normal, roughness, specular, response_diffuse, response_specular, view, alpha)
+    options = (brdf, background, irradiance.shape[1], sizes, (exposure, encoded))
+    return Shaded(*_Shade.apply(*surface, irradiance.reshape(-1, 3), pack_mips(mips), *options))
 
 
 class _Shade(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, *inputs: Any) -> tuple[torch.Tensor, ...]:
-        *tensors, size, sizes = inputs
+        *tensors, size, sizes, display = inputs
         tensors = [tensor.contiguous() for tensor in tensors]
-        ctx.save_for_backward(*tensors)
-        ctx.size, ctx.sizes = size, sizes
         count, device = tensors[0].shape[0], tensors[0].device
         results = tuple(torch.empty(count, 3, device=device) for _ in Shaded._fields)
-        launch_range(_shade, count, *_by_kernel(tensors), size, mip_table(sizes, device), *results, grain=_GRAIN)
+        launch_range(_shade, count, *_by_kernel(tensors), size, mip_table(sizes, device), *display, *results, grain=_GRAIN)
+        ctx.save_for_backward(*tensors, results[0])
+        ctx.size, ctx.sizes, ctx.display = size, sizes, display
         return results
 
     @staticmethod
     def backward(ctx: Any, *grads: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        tensors, size, sizes = ctx.saved_tensors, ctx.size, ctx.sizes
-        count, device = tensors[0].shape[0], tensors[0].device
-        albedo, normal, roughness, specular, response_diffuse, response_specular, view, irradiance, mips, brdf = _by_kernel(tensors)
-        grad_color, grad_irradiance, grad_light, grad_shine = (grad.contiguous() for grad in grads)
-        surface = [torch.empty_like(tensor) for tensor in tensors[:7]]
-        to_albedo, to_normal, to_roughness, to_specular, to_diffuse, to_shine, to_view = _by_kernel(surface)
+        *tensors, color = ctx.saved_tensors
+        size, sizes, count, device = ctx.size, ctx.sizes, color.shape[0], color.device
+        albedo, normal, roughness, specular, response_diffuse, response_specular, view, alpha, irradiance, mips, brdf, background = (
+            _by_kernel(tensors)
+        )
+        grad_color, grad_image, grad_irradiance, grad_light = (grad.contiguous() for grad in grads)
+        surface = [torch.empty_like(tensor) for tensor in tensors[:8]]
+        to_albedo, to_normal, to_roughness, to_specular, to_diffuse, to_shine, to_view, to_alpha = _by_kernel(surface)
 
-        def lookups(slots: int) -> tuple[torch.Tensor, ...]:
-            options = {"device": device}
-            return (
-                torch.empty(count, 3, **options),
-                torch.empty(count, slots, dtype=torch.int32, **options),
-                torch.empty(count, slots, 3, **options),
-            )
-
-        diffuse, shine = lookups(1), lookups(min(2, len(sizes)))
-        inputs = (albedo, normal, specular, response_diffuse, irradiance, size, grad_color, grad_irradiance)
+        to_color = torch.empty_like(color)
+        inputs = (color, alpha, background, *ctx.display, grad_color, grad_image)
+        launch_range(_display_adjoint, count, *inputs, to_color, to_alpha, grain=_GRAIN)
+        diffuse, shine = _Lookups.empty(count, 1, device), _Lookups.empty(count, min(2, len(sizes)), device)
+        inputs = (albedo, normal, specular, response_diffuse, alpha, irradiance, size, to_color, grad_irradiance)
         launch_range(_diffuse_adjoint, count, *inputs, to_albedo, to_normal, to_specular, to_diffuse, *diffuse, grain=_GRAIN)
-        inputs = (normal, roughness, specular, response_specular, view, mips, mip_table(sizes, device), brdf)
-        inputs = (*inputs, grad_color, grad_light, grad_shine)
+        inputs = (normal, roughness, specular, response_specular, view, alpha, mips, mip_table(sizes, device), brdf, to_color, grad_light)
         launch_range(_specular_adjoint, count, *inputs, to_normal, to_roughness, to_specular, to_shine, to_view, *shine, grain=_GRAIN)
         maps = [
-            texel_gradient(cells, places, values, chain) if wanted else None
-            for (values, cells, places), chain, wanted in zip((diffuse, shine), ((size,), sizes), ctx.needs_input_grad[7:9], strict=True)
+            texel_gradient(lookups.cells, lookups.places, lookups.grads, chain) if wanted else None
+            for lookups, chain, wanted in zip((diffuse, shine), ((size,), sizes), ctx.needs_input_grad[8:10], strict=True)
         ]
-        return (*surface, *maps, None, None, None)
+        return (*surface, *maps, None, None, None, None, None)
+
+
+class _Lookups(NamedTuple):
+    """What the adjoint of M lookups in a chain of maps needs, up to R mips each: see `kernels.cubemap_lookup.texel_gradient`."""
+
+    grads: torch.Tensor
+    cells: torch.Tensor
+    places: torch.Tensor
+
+    @classmethod
+    def empty(cls, count: int, slots: int, device: torch.device) -> _Lookups:
+        return cls(
+            torch.empty(count, 3, device=device),
+            torch.empty(count, slots, dtype=torch.int32, device=device),
+            torch.empty(count, slots, 3, device=device),
+        )
 
 
 def _by_kernel(tensors: list[torch.Tensor] | tuple[torch.Tensor, ...]) -> list[torch.Tensor]:
@@ -130,110 +147,16 @@ def _by_kernel(tensors: list[torch.Tensor] | tuple[torch.Tensor, ...]) -> list[t
     return [tensor.view(-1) if tensor.dim() == 2 and tensor.shape[1] == 1 else tensor for tensor in tensors]
 
 
-Quad = wp.types.matrix(shape=(4, 3), dtype=wp.float32)
-"""The texels of a cell, one a row."""
+@wp.func
+def behind(background: wp.array[wp.vec3], m: wp.int32) -> wp.vec3:
+    """The background of a point: its own, or the one for all."""
+    return background[wp.where(background.shape[0] == 1, 0, m)]
 
 
 @wp.func
-def read_cell(texels: wp.array[wp.vec3], first: wp.int32, cell: Footprint, size: wp.int32) -> Quad:
-    """A cell's texels; where three faces meet, the missing one is the mean of the others."""
-    taps = cell_texels(cell, size)
-    result = Quad()
-    total = wp.vec3()
-    for k in range(4):
-        if taps[k] >= 0:
-            result[k] = texels[first + taps[k]]
-            total += result[k]
-    for k in range(4):
-        if taps[k] < 0:
-            result[k] = total / 3.0
-    return result
-
-
-@wp.func
-def blend_cell(cell: Footprint, texels: Quad) -> wp.vec3:
-    """The bilinear value."""
-    weights = bilinear_weights(cell)
-    return weights[0] * texels[0] + weights[1] * texels[1] + weights[2] * texels[2] + weights[3] * texels[3]
-
-
-@wp.func
-def cell_slope(cell: Footprint, texels: Quad, grad: wp.vec3) -> wp.vec2:
-    """Gradient with respect to the place in the cell, along x and y, from that of the bilinear value."""
-    a = wp.dot(texels[0], grad)
-    b = wp.dot(texels[1], grad)
-    c = wp.dot(texels[2], grad)
-    d = wp.dot(texels[3], grad)
-    return wp.vec2((b - a) * (1.0 - cell.y) + (d - c) * cell.y, (c - a) * (1.0 - cell.x) + (d - b) * cell.x)
-
-
-@wp.func
-def look_up(mips: wp.array[wp.vec3], table: wp.array2d[wp.int32], point: FacePoint, level: wp.float32) -> wp.vec3:
-    """Trilinear lookup in a packed chain of mips."""
-    lower, fraction = lower_level(level, table.shape[0])
-    result = wp.vec3()
-    for slot in range(2):
-        share = wp.where(slot == 0, 1.0 - fraction, fraction)
-        if share > 0.0:
-            size = table[lower + slot, 0]
-            cell = footprint(point, size)
-            result += share * blend_cell(cell, read_cell(mips, table[lower + slot, 1], cell, size))
-    return result
-
-
-@wp.struct
-class BrdfPlace:
-    """A point in the BRDF table: the node before it, the place between nodes, and the slopes of both by roughness and n . v."""
-
-    row: wp.int32
-    column: wp.int32
-    y: wp.float32
-    x: wp.float32
-    y_slope: wp.float32
-    x_slope: wp.float32
-
-
-@wp.func
-def find_brdf(roughness: wp.float32, cosine: wp.float32, nodes: wp.int32) -> BrdfPlace:
-    """Where the BRDF table is read."""
-    last = wp.float32(nodes - 1)
-    root = wp.sqrt(wp.clamp(cosine, GRAZING, 1.0))
-    place = BrdfPlace()
-    y = wp.clamp(roughness, 0.0, 1.0) * last
-    x = root * last
-    place.row = wp.clamp(wp.int32(y), 0, nodes - 2)
-    place.column = wp.clamp(wp.int32(x), 0, nodes - 2)
-    place.y = y - wp.float32(place.row)
-    place.x = x - wp.float32(place.column)
-    place.y_slope = wp.where(roughness >= 0.0 and roughness <= 1.0, last, 0.0)
-    place.x_slope = wp.where(cosine >= GRAZING and cosine <= 1.0, 0.5 * last / root, 0.0)
-    return place
-
-
-@wp.func
-def brdf_row(brdf: wp.array2d[wp.vec2], row: wp.int32, place: BrdfPlace) -> wp.vec2:
-    """(B_x, B_y) between the nodes of one row."""
-    return (1.0 - place.x) * brdf[row, place.column] + place.x * brdf[row, place.column + 1]
-
-
-@wp.func
-def read_brdf(brdf: wp.array2d[wp.vec2], place: BrdfPlace) -> wp.vec2:
-    """(B_x, B_y), bilinear."""
-    return (1.0 - place.y) * brdf_row(brdf, place.row, place) + place.y * brdf_row(brdf, place.row + 1, place)
-
-
-@wp.func
-def brdf_slope_roughness(brdf: wp.array2d[wp.vec2], place: BrdfPlace) -> wp.vec2:
-    """Slope of (B_x, B_y) along the roughness."""
-    return place.y_slope * (brdf_row(brdf, place.row + 1, place) - brdf_row(brdf, place.row, place))
-
-
-@wp.func
-def brdf_slope_cosine(brdf: wp.array2d[wp.vec2], place: BrdfPlace) -> wp.vec2:
-    """Slope of (B_x, B_y) along n . v."""
-    upper = brdf[place.row, place.column + 1] - brdf[place.row, place.column]
-    lower = brdf[place.row + 1, place.column + 1] - brdf[place.row + 1, place.column]
-    return place.x_slope * ((1.0 - place.y) * upper + place.y * lower)
+def is_lit(alpha: wp.float32, normal: wp.vec3) -> wp.bool:
+    """Whether a point has a surface, and the surface a direction."""
+    return alpha >= _COVERED and wp.length_sq(normal) > 0.0
 
 
 @wp.kernel(enable_backward=False)
@@ -246,32 +169,63 @@ def _shade(
     response_diffuse: wp.array[wp.float32],
     response_specular: wp.array[wp.float32],
     view: wp.array[wp.vec3],
+    alpha: wp.array[wp.float32],
     irradiance_map: wp.array[wp.vec3],
     mips: wp.array[wp.vec3],
     brdf: wp.array2d[wp.vec2],
+    background: wp.array[wp.vec3],
     size: wp.int32,
     table: wp.array2d[wp.int32],
+    exposure: wp.float32,
+    encoded: wp.bool,
     color: wp.array[wp.vec3],
+    image: wp.array[wp.vec3],
     irradiance: wp.array[wp.vec3],
     specular_light: wp.array[wp.vec3],
-    specular_color: wp.array[wp.vec3],
 ) -> None:
     m = first + wp.tid()
     n = normal[m]
-    diffuse = wp.vec3()
-    light = wp.vec3()
+    rest = (1.0 - alpha[m]) * behind(background, m)
+    if not is_lit(alpha[m], n):
+        color[m] = wp.vec3()
+        image[m] = rest
+        irradiance[m] = wp.vec3()
+        specular_light[m] = wp.vec3()
+        return
+    cell = footprint(project(n), size)
+    diffuse = response_diffuse[m] * blend_cell(cell, read_cell(irradiance_map, 0, cell, size))
     cosine = wp.dot(n, view[m])
-    if wp.length_sq(n) > 0.0:
-        cell = footprint(project(n), size)
-        diffuse = response_diffuse[m] * blend_cell(cell, read_cell(irradiance_map, 0, cell, size))
-        level = roughness[m] * wp.float32(table.shape[0] - 1)
-        light = response_specular[m] * look_up(mips, table, project(2.0 * cosine * n - view[m]), level)
+    level = roughness[m] * wp.float32(table.shape[0] - 1)
+    light = response_specular[m] * look_up(mips, table, project(2.0 * cosine * n - view[m]), level)
     b = read_brdf(brdf, find_brdf(roughness[m], cosine, brdf.shape[0]))
-    shine = (specular[m] * b[0] + b[1]) * light
+    radiance = (1.0 - specular[m]) * wp.cw_mul(albedo[m], diffuse) + (specular[m] * b[0] + b[1]) * light
+    color[m] = radiance
+    image[m] = alpha[m] * show(radiance, exposure, encoded) + rest
     irradiance[m] = diffuse
     specular_light[m] = light
-    specular_color[m] = shine
-    color[m] = (1.0 - specular[m]) * wp.cw_mul(albedo[m], diffuse) + shine
+
+
+@wp.kernel(enable_backward=False)
+def _display_adjoint(
+    first: wp.int32,
+    color: wp.array[wp.vec3],
+    alpha: wp.array[wp.float32],
+    background: wp.array[wp.vec3],
+    exposure: wp.float32,
+    encoded: wp.bool,
+    upstream_color: wp.array[wp.vec3],
+    grad_image: wp.array[wp.vec3],
+    grad_color: wp.array[wp.vec3],
+    grad_alpha: wp.array[wp.float32],
+) -> None:
+    """Adjoint of I = alpha encode(C exposure) + (1 - alpha) background, added to what flows into C from elsewhere."""
+    m = first + wp.tid()
+    if alpha[m] < _COVERED:
+        grad_color[m] = wp.vec3()
+        grad_alpha[m] = -wp.dot(behind(background, m), grad_image[m])
+        return
+    grad_color[m] = upstream_color[m] + alpha[m] * show_adjoint(color[m], exposure, encoded, grad_image[m])
+    grad_alpha[m] = wp.dot(show(color[m], exposure, encoded) - behind(background, m), grad_image[m])
 
 
 @wp.kernel(enable_backward=False)
@@ -281,6 +235,7 @@ def _diffuse_adjoint(
     normal: wp.array[wp.vec3],
     specular: wp.array[wp.float32],
     response: wp.array[wp.float32],
+    alpha: wp.array[wp.float32],
     irradiance_map: wp.array[wp.vec3],
     size: wp.int32,
     grad_color: wp.array[wp.vec3],
@@ -296,7 +251,7 @@ def _diffuse_adjoint(
     """Adjoint of C = a (1 - f) L_d + ..., L_d = tau_d E_d(n)."""
     m = first + wp.tid()
     n = normal[m]
-    if wp.length_sq(n) == 0.0:
+    if not is_lit(alpha[m], n):
         grad_albedo[m] = wp.vec3()
         grad_normal[m] = wp.vec3()
         grad_specular[m] = 0.0
@@ -328,12 +283,12 @@ def _specular_adjoint(
     specular: wp.array[wp.float32],
     response: wp.array[wp.float32],
     view: wp.array[wp.vec3],
+    alpha: wp.array[wp.float32],
     mips: wp.array[wp.vec3],
     table: wp.array2d[wp.int32],
     brdf: wp.array2d[wp.vec2],
     grad_color: wp.array[wp.vec3],
     grad_specular_light: wp.array[wp.vec3],
-    grad_specular_color: wp.array[wp.vec3],
     grad_normal: wp.array[wp.vec3],
     grad_roughness: wp.array[wp.float32],
     grad_specular: wp.array[wp.float32],
@@ -349,7 +304,7 @@ def _specular_adjoint(
     v = view[m]
     f = specular[m]
     levels = table.shape[0]
-    if wp.length_sq(n) == 0.0:
+    if not is_lit(alpha[m], n):
         grad_roughness[m] = 0.0
         grad_response[m] = 0.0
         grad_view[m] = wp.vec3()
@@ -359,8 +314,7 @@ def _specular_adjoint(
     cosine = wp.dot(n, v)
     place = find_brdf(roughness[m], cosine, brdf.shape[0])
     b = read_brdf(brdf, place)
-    grad_shine = grad_color[m] + grad_specular_color[m]
-    grad_l_s = grad_specular_light[m] + (f * b[0] + b[1]) * grad_shine
+    grad_l_s = grad_specular_light[m] + (f * b[0] + b[1]) * grad_color[m]
     grad_e_s = response[m] * grad_l_s
 
     r = 2.0 * cosine * n - v
@@ -383,7 +337,7 @@ def _specular_adjoint(
         places[m, slot] = wp.vec3(cell.x, cell.y, share)
     grad_r = project_adjoint(r, point, slope[0], slope[1])
 
-    grad_factor = response[m] * wp.dot(light, grad_shine)
+    grad_factor = response[m] * wp.dot(light, grad_color[m])
     grad_b = wp.vec2(f * grad_factor, grad_factor)
     grad_cosine = wp.dot(brdf_slope_cosine(brdf, place), grad_b) + 2.0 * wp.dot(grad_r, n)
     grad_roughness[m] = wp.dot(brdf_slope_roughness(brdf, place), grad_b)

@@ -14,9 +14,9 @@ import torch
 BRDF_SIZE = 96
 """Nodes along each axis of the table; the error against quadrature is tested to be below 1e-3."""
 
-_POLAR_SAMPLES = 48
+_POLAR_SAMPLES = 32
 _AZIMUTH_SAMPLES = 16
-"""Gauss-Legendre samples of the half vector."""
+"""Gauss-Legendre samples of the half vector: its angle to the normal in each of two ranges, and its azimuth."""
 
 _GRAZING = 1e-6
 """n . v and alpha at the table's zero nodes: the limits are finite, 0 / 0 is not."""
@@ -37,14 +37,14 @@ def integrate_brdf(roughness: np.ndarray | float, cosine: np.ndarray) -> np.ndar
     """(..., 2) float64 (B_x, B_y) by quadrature over half vectors, for ``roughness`` and ``cosine`` = n . v in [0, 1], which broadcast.
 
     Half vectors are spaced by the density D (n . h), which leaves 4 V (n . l) (v . h) / (n . h) (F's two parts) to average; their azimuth
-    ends where the light sinks below the horizon, so that the integrand is smooth between the ends.
+    ends where the light sinks below the horizon, so that the integrand is smooth between the ends (`_half_angles` sees to the polar ones).
     """
     alpha = np.maximum(np.square(roughness), _GRAZING)[..., None, None]
     cosine = np.clip(cosine, _GRAZING, 1 - _GRAZING)[..., None, None]
-    (polar, polar_weights), (turn, turn_weights) = _unit_gauss(_POLAR_SAMPLES), _unit_gauss(_AZIMUTH_SAMPLES)
+    turn, turn_weights = _unit_gauss(_AZIMUTH_SAMPLES)
     # tan(theta_h) = alpha tan(psi) spreads D (n . h) dOmega_h as 2 sin(psi) cos(psi) dpsi dphi / (2 pi), with no root at either end.
-    psi = polar[:, None] * (np.pi / 2)
-    density = polar_weights[:, None] * (np.pi / 2) * np.sin(2 * psi)
+    psi, weights = _half_angles(alpha, cosine)
+    density = weights * np.sin(2 * psi)
     length = np.sqrt(np.cos(psi) ** 2 + (alpha * np.sin(psi)) ** 2)
     half_z, half_x = np.cos(psi) / length, alpha * np.sin(psi) / length
     view_x = np.sqrt(1 - cosine**2)
@@ -56,6 +56,20 @@ def integrate_brdf(roughness: np.ndarray | float, cosine: np.ndarray) -> np.ndar
     average = density * turn_weights * (limit / np.pi) * 2 * light_z * view_half / (half_z * shadowing)
     schlick = np.maximum(1 - view_half, 0) ** 5
     return np.stack([(average * (1 - schlick)).sum(axis=(-2, -1)), (average * schlick).sum(axis=(-2, -1))], axis=-1)
+
+
+def _half_angles(alpha: np.ndarray, cosine: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(..., 2 samples, 1) psi and weights, in the two ranges that the horizon makes.
+
+    The light turns by twice as much as the half vector: with the view at theta_v it stays above the horizon at every azimuth up to
+    theta_h = 45 degrees - theta_v / 2, at some up to 45 degrees + theta_v / 2, and at none after that. In the second range the limit of the
+    azimuth starts and ends like a root, which samples spaced like a cosine undo.
+    """
+    points, weights = (values[:, None] for values in _unit_gauss(_POLAR_SAMPLES))
+    tilt = np.arccos(cosine) / 2
+    first, last = (np.arctan(np.tan(np.pi / 4 + side * tilt) / alpha) for side in (-1, 1))
+    psi = np.concatenate([first * points, first + (last - first) * (1 - np.cos(np.pi * points)) / 2], axis=-2)
+    return psi, np.concatenate([first * weights, (last - first) * (np.pi / 2) * np.sin(np.pi * points) * weights], axis=-2)
 
 
 def _unit_gauss(count: int) -> tuple[np.ndarray, np.ndarray]:

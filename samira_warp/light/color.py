@@ -6,26 +6,28 @@ from typing import Literal
 
 import torch
 
+from samira_warp.kernels.display import CURVE_OFFSET, CURVE_POWER, CURVE_SCALE, LINE_SLOPE, LINEAR_END
+
 ColorSpace = Literal["srgb", "raw"]
 """What image values mean: "srgb" is the encoded sRGB of linear shading, "raw" the shading itself."""
-
-_LINEAR_END = 0.0031308
-"""Below this linear value the curve is a line (IEC 61966-2-1)."""
-
-_LINE_SLOPE = 12.92
 
 
 def encode_srgb(linear: torch.Tensor) -> torch.Tensor:
     """Linear values of any shape to sRGB display values. Not clipped: 1 and above go on along the curve, negative ones along its line."""
-    curved = linear.clamp(min=_LINEAR_END)
-    return torch.where(linear <= _LINEAR_END, _LINE_SLOPE * linear, 1.055 * curved ** (1 / 2.4) - 0.055)
+    curved = linear.clamp(min=LINEAR_END)
+    return torch.where(linear <= LINEAR_END, LINE_SLOPE * linear, CURVE_SCALE * curved**CURVE_POWER - CURVE_OFFSET)
 
 
 def decode_srgb(display: torch.Tensor) -> torch.Tensor:
     """Inverse of `encode_srgb`."""
-    end = _LINE_SLOPE * _LINEAR_END
+    end = LINE_SLOPE * LINEAR_END
     curved = display.clamp(min=end)
-    return torch.where(display <= end, display / _LINE_SLOPE, ((curved + 0.055) / 1.055) ** 2.4)
+    return torch.where(display <= end, display / LINE_SLOPE, ((curved + CURVE_OFFSET) / CURVE_SCALE) ** (1 / CURVE_POWER))
+
+
+def to_display(values: torch.Tensor, *, color_space: ColorSpace) -> torch.Tensor:
+    """What shading works in, as a picture shows it: encoded where that is linear light, as it is where it is image values."""
+    return encode_srgb(values) if color_space == "srgb" else values
 
 
 def compose(
@@ -43,6 +45,4 @@ def compose(
     Returns:
         (..., 3) display values, not clipped.
     """
-    exposed = foreground * exposure
-    display = encode_srgb(exposed) if color_space == "srgb" else exposed
-    return alpha * display + (1 - alpha) * background
+    return alpha * to_display(foreground * exposure, color_space=color_space) + (1 - alpha) * background

@@ -1,20 +1,35 @@
-"""Environment maps: read from a file, or taken from a learned light."""
+"""Environments: the distant light all around a head, read from maps or taken from a learned light."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import math
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Literal
 
-import numpy as np
-import OpenImageIO
 import torch
 
 from samira_warp.camera import Camera
 from samira_warp.errors import UserError
-from samira_warp.kernels.cubemap_lookup import sample_cubemap
-from samira_warp.light.equirect import equirect_to_cube
+from samira_warp.images import write_exr
+from samira_warp.kernels.cubemap import texel_solid_angles
+from samira_warp.light.cross import cube_to_cross
 from samira_warp.light.filtered import FilteredLight
+from samira_warp.light.radiance_map import RadianceMap
 from samira_warp.validation import check_tensor
+
+DIFFUSE_FILE = "light_diffuse.exr"
+SPECULAR_FILE = "light_specular.exr"
+"""Names of the two maps of a learned light in an avatar folder."""
+
+DIFFUSE_MULTIPLE, SPECULAR_MULTIPLE = 2, 16
+"""What the sizes of the two cubemaps must be divisible by, to be filtered (`FilteredLight.of`)."""
+
+LUMINANCE = (0.2126, 0.7152, 0.0722)
+"""Weights of linear red, green and blue in luminance (ITU-R BT.709)."""
+
+Exposure = float | Literal["auto"]
+"""A factor on the light, or the one at which the luminance of the irradiance, averaged over all directions, is 1."""
 
 
 @dataclass(frozen=True)
@@ -23,27 +38,49 @@ class Environment:
 
     Attributes:
         diffuse: (6, S, S, 3) float32 linear radiance that diffuse surfaces see.
-        specular: (6, S', S', 3) float32 linear radiance that shiny surfaces and the camera see. A real light has one map for both.
+        specular: (6, S', S', 3) float32 linear radiance that shiny surfaces see. A real light has one map for both.
+        backdrop: What the camera sees of it, at its file's own resolution; None is ``specular``.
     """
 
     diffuse: torch.Tensor
     specular: torch.Tensor
+    backdrop: RadianceMap | None = None
 
     @classmethod
-    def load(cls, path: str | Path, *, rotate: float = 0.0, exposure: float = 1.0, size: int = 256) -> Environment:
-        """Read an equirectangular .hdr or .exr.
+    def load(
+        cls,
+        path: str | Path,
+        specular: str | Path | None = None,
+        *,
+        rotate: float = 0.0,
+        exposure: Exposure = 1.0,
+        size: int = 256,
+        ldr: bool = False,
+    ) -> Environment:
+        """Read one map, or the two maps of a learned light.
+
+        A map is an equirectangular panorama (2:1) or a cube cross (4:3 or 3:4, see `samira_warp.light.cross`). A cross no finer than
+        ``size`` whose texels can be filtered as they are is not resampled, so a learned light that was saved comes back bit by bit.
 
         Args:
-            path: The file; twice as wide as high, floating point.
-            rotate: Degrees: direction d sees column 0.5 + atan2(d.x, -d.z) / (2 pi) + rotate / 360 of the map.
-            exposure: Factor on the radiance.
-            size: Texels along a face, divisible by 16.
+            path: The map; the diffuse map where ``specular`` is given; or an avatar's folder, for its learned light.
+            specular: The map that shiny surfaces and the camera see; default the same as ``path``.
+            rotate: Degrees: direction d sees column 0.5 + atan2(d.x, -d.z) / (2 pi) + rotate / 360 of a panorama.
+            exposure: Factor on the radiance, or auto.
+            size: Texels along a face of the resampled map, divisible by 16.
+            ldr: Also take 8-bit pictures, decoded from sRGB.
 
         Raises:
-            UserError: The file is missing, unreadable, 8-bit, not twice as wide as high, or holds values that are not finite.
+            UserError: A file is missing, unreadable, 8-bit, of another shape, or holds values that are not finite; or auto is asked of a
+                black map.
         """
-        radiance = equirect_to_cube(read_radiance(path), size=size, rotate=rotate) * exposure
-        return cls(radiance, radiance)
+        if specular is None and Path(path).is_dir():
+            path, specular = learned_pair(path)
+        diffuse_map = replace(RadianceMap.read(path, ldr=ldr), rotate=rotate)
+        specular_map = diffuse_map if specular is None else replace(RadianceMap.read(specular, ldr=ldr), rotate=rotate)
+        specular_cube = _filterable(specular_map, size=size, multiple=SPECULAR_MULTIPLE)
+        diffuse_cube = specular_cube if specular is None else _filterable(diffuse_map, size=size, multiple=DIFFUSE_MULTIPLE)
+        return cls(diffuse_cube, specular_cube, specular_map).exposed(exposure, name=path)
 
     @classmethod
     def from_cubemaps(cls, diffuse: torch.Tensor, specular: torch.Tensor) -> Environment:
@@ -52,61 +89,66 @@ class Environment:
         check_tensor("specular", specular, shape=(6, "S", "S", 3))
         return cls(diffuse, specular)
 
+    def save(self, folder: Path) -> None:
+        """Write the two cubemaps into a folder as crosses of 32-bit floats, which `load` gives back bit by bit."""
+        for name, cubemap in ((DIFFUSE_FILE, self.diffuse), (SPECULAR_FILE, self.specular)):
+            write_exr(folder / name, cube_to_cross(cubemap.detach()).cpu().numpy())
+
     def filtered(self) -> FilteredLight:
         """Irradiance and prefiltered mips. Takes a second or two for a map of 256: keep the result."""
         light = FilteredLight.of(self.diffuse, self.specular)
         # Sums over the cube's parities round to some 1e-7 of the brightest light, which may fall below 0 where no light is.
         return FilteredLight(light.irradiance.clamp(min=0), tuple(mip.clamp(min=0) for mip in light.specular))
 
-    def background(self, camera: Camera) -> torch.Tensor:
-        """(H, W, 3) linear radiance that the camera sees behind the head."""
-        directions = camera.to(self.specular.device).ray_directions().to(torch.float32)
-        return sample_cubemap(self.specular, directions.reshape(-1, 3)).view(directions.shape)
+    def background(self, camera: Camera, *, rotate: float = 0.0) -> torch.Tensor:
+        """(H, W, 3) linear radiance that the camera sees behind the head, the light turned by so many degrees more."""
+        return self.visible.behind(camera, rotate=rotate)
+
+    @property
+    def visible(self) -> RadianceMap:
+        """What the camera sees of the light."""
+        return self.backdrop or RadianceMap(self.specular)
+
+    def exposed(self, exposure: Exposure, *, name: object = "environment") -> Environment:
+        """The light times a factor, or at the exposure ``auto``.
+
+        Raises:
+            UserError: The factor of a light without light is asked for; ``name`` is what it is called.
+        """
+        if exposure == "auto":
+            luminance = float(self.mean_irradiance() @ self.diffuse.new_tensor(LUMINANCE, dtype=torch.float64))
+            if luminance <= 0.0:
+                raise UserError(name, expected="some light, to expose automatically", found="a black map")
+            exposure = 1.0 / luminance
+        backdrop = None if self.backdrop is None else self.backdrop.exposed(exposure)
+        return Environment(self.diffuse * exposure, self.specular * exposure, backdrop)
+
+    def mean_irradiance(self) -> torch.Tensor:
+        """(3,) float64 mean over all directions of E_d, which is the mean of the radiance that diffuse surfaces see."""
+        areas = texel_solid_angles(self.diffuse.shape[1], dtype=torch.float64, device=self.diffuse.device)
+        return (self.diffuse.double() * areas[..., None]).sum(dim=(0, 1, 2)) / (4.0 * math.pi)
 
     def to(self, device: torch.device | str) -> Environment:
         """The same light on ``device``."""
-        return Environment(self.diffuse.to(device), self.specular.to(device))
+        backdrop = None if self.backdrop is None else self.backdrop.to(device)
+        return Environment(self.diffuse.to(device), self.specular.to(device), backdrop)
 
 
-def read_radiance(path: str | Path) -> torch.Tensor:
-    """(H, W, 3) float32 linear radiance of a .hdr or .exr; a single channel becomes grey, slightly negative values become 0.
+def learned_pair(folder: str | Path) -> tuple[Path, Path]:
+    """The diffuse and the specular map in an avatar's folder, or in the run folder that it is in.
 
     Raises:
-        UserError: As `Environment.load`.
+        UserError: They are not there.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise UserError(path, expected="an .hdr or .exr file", found="no such file")
-    image = OpenImageIO.ImageInput.open(str(path))
-    if image is None:
-        raise UserError(path, expected="an .hdr or .exr file", found=f"unreadable: {OpenImageIO.geterror()}")
-    try:
-        spec = image.spec()
-        if spec.format.basetype not in (OpenImageIO.HALF, OpenImageIO.FLOAT, OpenImageIO.DOUBLE):
-            raise UserError(
-                path,
-                expected="floating-point radiance (.hdr or .exr), because an 8-bit image clips the lamps and the sun that light a face",
-                found=f"{spec.format} pixels",
-            )
-        pixels = image.read_image(0, 0, 0, spec.nchannels, OpenImageIO.FLOAT)
-        if pixels is None:
-            raise UserError(path, expected="a whole image", found=f"unreadable: {image.geterror()}")
-    finally:
-        image.close()
-    if spec.width != 2 * spec.height:
-        raise UserError(path, expected="an equirectangular map, twice as wide as high", found=f"{spec.width} x {spec.height}")
-    radiance = torch.from_numpy(np.ascontiguousarray(_rgb(pixels, list(spec.channelnames), path), dtype=np.float32))
-    if not radiance.isfinite().all():
-        raise UserError(
-            path, expected="finite radiance", found=f"{int((~radiance.isfinite()).sum())} values that are infinite or not numbers"
-        )
-    return radiance.clamp(min=0)
+    for candidate in (Path(folder), Path(folder) / "avatar"):
+        pair = candidate / DIFFUSE_FILE, candidate / SPECULAR_FILE
+        if all(path.is_file() for path in pair):
+            return pair
+    raise UserError(folder, expected=f"a learned light, {DIFFUSE_FILE} and {SPECULAR_FILE}", found="none")
 
 
-def _rgb(pixels: np.ndarray, names: list[str], path: Path) -> np.ndarray:
-    """(H, W, 3) colour channels of pixels (H, W, channels)."""
-    if all(name in names for name in "RGB"):
-        return pixels[..., [names.index(name) for name in "RGB"]]
-    if len(names) == 1:
-        return np.repeat(pixels.reshape(*pixels.shape[:2], 1), 3, axis=-1)
-    raise UserError(path, expected="channels R, G, B or a single one", found=", ".join(names))
+def _filterable(radiance: RadianceMap, *, size: int, multiple: int) -> torch.Tensor:
+    """The cubemap of a map: as it is where it can be, else at ``size``."""
+    own = radiance.face_size
+    as_it_is = own is not None and own <= size and own % multiple == 0 and radiance.rotate == 0.0
+    return radiance.to_cube(own if as_it_is else size)

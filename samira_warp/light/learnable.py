@@ -13,18 +13,19 @@ _RADIANCE_MIN = 1e-4
 
 
 class LearnableLight(nn.Module):
-    """Two cubemaps of radiance, for diffuse and for specular light, kept positive by softplus and bounded by nothing.
+    """Two cubemaps of radiance, for diffuse and for specular light, kept positive by softplus and bounded by nothing; tied, they are one.
 
     Attributes:
-        diffuse: (6, 16, 16, 3) float32 parameter; its softplus is radiance.
+        diffuse: (6, 16, 16, 3) float32 parameter; its softplus is radiance. None where diffuse surfaces see the specular map.
         specular: (6, 64, 64, 3) float32 parameter; its softplus is radiance.
     """
 
-    def __init__(self, radiance: torch.Tensor, *, diffuse_size: int = 16, specular_size: int = 64) -> None:
+    def __init__(self, radiance: torch.Tensor, *, tied: bool = False, diffuse_size: int = 16, specular_size: int = 64) -> None:
         """Start as a uniform light.
 
         Args:
             radiance: (3,) linear radiance.
+            tied: One map for both, as a real light has; irradiance is then filtered from the specular map.
             diffuse_size: Even size of the diffuse map.
             specular_size: Size of the specular map, divisible by 16.
         """
@@ -32,12 +33,14 @@ class LearnableLight(nn.Module):
         # Inverse of softplus: log(exp(x) - 1), written so that it neither overflows nor cancels.
         radiance = radiance.detach().to(torch.float32).clamp(min=_RADIANCE_MIN)
         start = radiance + torch.log(-torch.expm1(-radiance))
-        self.diffuse = nn.Parameter(start.expand(6, diffuse_size, diffuse_size, 3).clone())
+        diffuse = None if tied else nn.Parameter(start.expand(6, diffuse_size, diffuse_size, 3).clone())
+        self.register_parameter("diffuse", diffuse)
         self.specular = nn.Parameter(start.expand(6, specular_size, specular_size, 3).clone())
 
     def radiance(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """The diffuse and the specular map, (6, S, S, 3) linear radiance."""
-        return nn.functional.softplus(self.diffuse), nn.functional.softplus(self.specular)
+        """The diffuse and the specular map, (6, S, S, 3) linear radiance; one and the same where they are tied."""
+        specular = nn.functional.softplus(self.specular)
+        return specular if self.diffuse is None else nn.functional.softplus(self.diffuse), specular
 
     def forward(self) -> FilteredLight:
         """Filter the maps as they are now."""

@@ -1,4 +1,4 @@
-"""Deferred physically based shading of a G-buffer: Eqs. response_shading and pbr_color."""
+"""Deferred physically based shading of a G-buffer: Eqs. response_shading, pbr_color and alpha_compose."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import torch
 
 from samira_warp.kernels.deferred_shading import Shaded, shade_gbuffer
 from samira_warp.light.brdf import brdf_table
+from samira_warp.light.color import ColorSpace
 from samira_warp.light.filtered import FilteredLight
 from samira_warp.validation import check_tensor
 
@@ -19,8 +20,16 @@ def shade(
     response_specular: torch.Tensor,
     view: torch.Tensor,
     light: FilteredLight,
+    *,
+    alpha: torch.Tensor | None = None,
+    background: torch.Tensor | float = 1.0,
+    exposure: float = 1.0,
+    color_space: ColorSpace = "srgb",
 ) -> Shaded:
-    """Shade M points of a G-buffer: L_d = tau_d E_d(n), L_s = tau_s E_s(reflect(v, n), rho), C_fg = a (1 - f) L_d + L_s (f B_x + B_y).
+    """Shade M points of a G-buffer and compose them with what is behind.
+
+    L_d = tau_d E_d(n), L_s = tau_s E_s(reflect(v, n), rho), C_fg = a (1 - f) L_d + L_s (f B_x + B_y), and
+    I = alpha encode(C_fg exposure) + (1 - alpha) background.
 
     Args:
         albedo: (M, 3) float32, linear, 0 to 1.
@@ -31,14 +40,19 @@ def shade(
         response_specular: (M, 1) tau_s.
         view: (M, 3) unit directions from the point to the camera.
         light: The filtered light, on the same device.
+        alpha: (M, 1) coverage; None covers every point. Where it is below 1/255 there is no surface, and next to no work: C_fg, L_d and
+            L_s are 0, and only alpha itself gets a gradient.
+        background: Display values behind: a number or (M, 3); a constant.
+        exposure: Factor on C_fg; a constant.
+        color_space: "srgb" encodes C_fg; "raw" takes its values for display values.
 
     Returns:
-        Colours, differentiable in every argument, the light's maps included.
+        Colours, differentiable in the surface, the view, alpha and the light's maps.
 
     Raises:
         UserError: A wrong shape, dtype or device.
     """
-    device = light.irradiance.device
+    device, count = light.irradiance.device, albedo.shape[0]
     surface = {
         "albedo": albedo,
         "normal": normal,
@@ -47,7 +61,20 @@ def shade(
         "response_diffuse": response_diffuse,
         "response_specular": response_specular,
         "view": view,
+        "alpha": torch.ones(count, 1, device=device) if alpha is None else alpha,
     }
     for name, values in surface.items():
-        check_tensor(name, values, shape=(albedo.shape[0], 3 if name in ("albedo", "normal", "view") else 1), device=device)
-    return shade_gbuffer(**surface, irradiance=light.irradiance, mips=light.specular, brdf=brdf_table(device))
+        check_tensor(name, values, shape=(count, 3 if name in ("albedo", "normal", "view") else 1), device=device)
+    if isinstance(background, torch.Tensor):
+        check_tensor("background", background, shape=(count, 3), device=device)
+    else:
+        background = torch.full((1, 3), background, device=device)
+    return shade_gbuffer(
+        **surface,
+        irradiance=light.irradiance,
+        mips=light.specular,
+        brdf=brdf_table(device),
+        background=background,
+        exposure=exposure,
+        encoded=color_space == "srgb",
+    )

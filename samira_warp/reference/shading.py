@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import torch
 
-from samira_warp.kernels.deferred_shading import GRAZING, Shaded
+from samira_warp.constants import COVERED_ALPHA
+from samira_warp.kernels.brdf_lookup import GRAZING
+from samira_warp.kernels.deferred_shading import Shaded
+from samira_warp.light.color import compose
 from samira_warp.reference.cubemap import sample_cubemap, sample_mips
 
 
@@ -16,19 +19,25 @@ def shade_gbuffer(
     response_diffuse: torch.Tensor,
     response_specular: torch.Tensor,
     view: torch.Tensor,
+    alpha: torch.Tensor,
     *,
     irradiance: torch.Tensor,
     mips: tuple[torch.Tensor, ...],
     brdf: torch.Tensor,
+    background: torch.Tensor,
+    exposure: float = 1.0,
+    encoded: bool = True,
 ) -> Shaded:
     """See `kernels.deferred_shading.shade_gbuffer`; normals are not zero."""
     cosine = (normal * view).sum(dim=-1, keepdim=True)
     reflected = 2 * cosine * normal - view
-    diffuse = response_diffuse * sample_cubemap(irradiance, normal)
-    light = response_specular * sample_mips(mips, reflected, roughness[:, 0] * (len(mips) - 1))
+    covered = alpha >= COVERED_ALPHA
+    diffuse = covered * response_diffuse * sample_cubemap(irradiance, normal)
+    light = covered * response_specular * sample_mips(mips, reflected, roughness[:, 0] * (len(mips) - 1))
     scale, bias = lookup_brdf(brdf, roughness, cosine)
-    shine = light * (specular * scale + bias)
-    return Shaded(albedo * (1 - specular) * diffuse + shine, diffuse, light, shine)
+    color = albedo * (1 - specular) * diffuse + light * (specular * scale + bias)
+    image = compose(color, alpha, background, exposure=exposure, color_space="srgb" if encoded else "raw")
+    return Shaded(color, image, diffuse, light)
 
 
 def lookup_brdf(brdf: torch.Tensor, roughness: torch.Tensor, cosine: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:

@@ -12,7 +12,7 @@ from samira_warp.render.render import render
 def main(config: RenderConfig) -> None:
     """Render, and say where."""
     count = render(config)
-    print(f"{count} frames in {config.out}", file=sys.stderr)
+    print(f"{count} picture{'s' if count > 1 else ''} of each layer in {config.out}", file=sys.stderr)
 
 
 if __name__ == "__main__":

@@ -1,158 +1,186 @@
-"""Rendering a sequence to image files and videos."""
+"""Rendering a sequence to image files and videos, or one frame to a contact sheet of lights."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from contextlib import ExitStack
-from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from tqdm import tqdm
 
-from samira_warp.avatar import Avatar, DrivingFrame, read_frames
-from samira_warp.avatar.storage import DESCRIPTION_FILE, TEMPLATE_FILE, find_avatar
+from samira_warp.avatar import Avatar, DrivingFrame, GBuffer, MaterialEdit, Motion, Rendering
+from samira_warp.avatar.storage import find_avatar
 from samira_warp.camera import Camera
-from samira_warp.data import open_sequence
 from samira_warp.devices import pick_device
 from samira_warp.errors import UserError
-from samira_warp.files import read_json
-from samira_warp.images import read_image, resize_box, to_uint8, write_exr, write_png
-from samira_warp.light import Environment, encode_srgb
-from samira_warp.render.config import RenderConfig, parse_frames
+from samira_warp.images import to_uint8, write_exr, write_png
+from samira_warp.light import Environment, FilteredLight
+from samira_warp.light.radiance_map import RadianceMap
+from samira_warp.render.background import Background
+from samira_warp.render.config import RenderConfig, material_edits
+from samira_warp.render.contact_sheet import contact_sheet
 from samira_warp.render.layers import LayerImage, layer_image
+from samira_warp.render.lights import check_maps, one_light, sheet_light, sheet_paths
+from samira_warp.render.sources import select_frames
+from samira_warp.render.turntable import plan_shots
 from samira_warp.render.video import VideoWriter
+
+SHEET_NAME = "contact_sheet"
+
+
+class View(NamedTuple):
+    """What of a frame does not depend on the light.
+
+    Attributes:
+        camera: The view.
+        motion: The posed head.
+        gbuffer: Its surface, as the camera sees it.
+    """
+
+    camera: Camera
+    motion: Motion
+    gbuffer: GBuffer
+
+
+class Light(NamedTuple):
+    """A light as it is used for every picture.
+
+    Attributes:
+        filtered: What shading needs of it.
+        seen: What is behind the head of it, in display values; None where something else is.
+    """
+
+    filtered: FilteredLight
+    seen: RadianceMap | None
+
+
+class Stage(NamedTuple):
+    """The avatar as it is to be shown.
+
+    Attributes:
+        avatar: The avatar, on its device.
+        edits: Changes to its materials.
+        background: What is behind it.
+    """
+
+    avatar: Avatar
+    edits: tuple[MaterialEdit, ...]
+    background: Background
+
+    def view(self, frame: DrivingFrame) -> View:
+        """Move the head and rasterise it."""
+        device = self.avatar.gaussians.means.device
+        camera, motion = frame.camera.to(device), self.avatar.move(frame.parameters.to(device))
+        return View(camera, motion, self.avatar.rasterize(motion, camera, edits=self.edits))
+
+    def light(self, environment: Environment) -> Light:
+        """Filter an environment, once for all pictures."""
+        environment = environment.to(self.avatar.gaussians.means.device)
+        return Light(environment.filtered(), self.background.view_of(environment))
+
+    def relight(self, view: View, light: Light, *, rotate: float) -> Rendering:
+        """Shade a view under a light that is turned by so many degrees, and put the background behind it."""
+        behind = self.background.behind(view.camera, light.seen, rotate=rotate)
+        return self.avatar.shade(view.motion, view.gbuffer, view.camera, light.filtered, rotate=rotate, background=behind)
 
 
 @torch.no_grad()
 def render(config: RenderConfig) -> int:
-    """Render every chosen frame of a sequence and write its layers.
+    """Render every chosen frame of a sequence and write its layers; under a folder of maps, the first frame as a contact sheet.
 
     Everything is checked before the first file is written.
 
     Returns:
-        Number of frames.
+        Number of pictures of each layer.
 
     Raises:
         UserError: The avatar, the sequence, the light or an option cannot be used.
     """
     _check_numbers(config)
+    edits, maps = material_edits(config), sheet_paths(config)
+    if maps is not None and (config.turntable is not None or config.video):
+        option = "--video" if config.turntable is None else "--turntable"
+        raise UserError(option, expected="one light", found=f"--env {config.env[0]}, a folder of maps, which makes a contact sheet")
     device = pick_device(config.device)
     folder = find_avatar(config.avatar)
     avatar = Avatar.load(folder, device=device)
-    frames = _select(config, avatar, folder)
-    environment = _environment(config, avatar).to(device)
-    background = _Background(config, environment, device)
-    light = environment.filtered()
-    for layer in config.layers:
-        (config.out / layer).mkdir(parents=True, exist_ok=True)
-    with ExitStack() as stack:
-        videos = {
-            layer: stack.enter_context(VideoWriter(config.out / f"{layer}.mp4", frames_per_second=config.fps))
-            for layer in config.layers
-            if config.video
-        }
-        for frame in tqdm(frames, unit="frame", dynamic_ncols=True):
-            camera = frame.camera.to(device)
-            rendering = avatar.render(frame.parameters, camera, light, background=background.behind(camera))
-            for layer in config.layers:
-                picture = _write(config.out / layer, frame.name, layer_image(rendering, layer))
-                if layer in videos:
-                    videos[layer].add(picture)
-    return len(frames)
+    frames = select_frames(config, avatar, folder)
+    stage = Stage(avatar, edits, Background(config.background, avatar))
+    if maps is not None:
+        return _render_sheet(config, stage, frames[0], maps)
+    return _render_sequence(config, stage, frames)
 
 
 def _check_numbers(config: RenderConfig) -> None:
     ranges = {
-        "exposure": (0.0 < config.exposure < math.inf, "a positive factor"),
+        "expression-gain": (math.isfinite(config.expression_gain), "a number"),
+        "exposure": (config.exposure == "auto" or 0.0 < config.exposure < math.inf, "a positive factor, or auto"),
         "rotate": (math.isfinite(config.rotate), "degrees"),
+        "turntable": (config.turntable is None or 0.0 < config.turntable < math.inf, "a positive number of seconds"),
         "resolution": (config.resolution is None or config.resolution > 0, "a positive number of pixels"),
         "fps": (0.0 < config.fps < math.inf, "a positive number of frames"),
     }
     for name, (holds, expected) in ranges.items():
         if not holds:
-            raise UserError(f"--{name}", expected=expected, found=getattr(config, name))
+            raise UserError(f"--{name}", expected=expected, found=getattr(config, name.replace("-", "_")))
 
 
-def _select(config: RenderConfig, avatar: Avatar, folder: Path) -> list[DrivingFrame]:
-    """The frames to render, at the size to render them."""
-    wanted, own = parse_frames(config.frames), read_frames(folder)
-    frames = list(_own(config, own) if config.data is None else _driven(config, avatar, folder))
-    chosen = frames[wanted]
-    if not chosen:
-        raise UserError("--frames", expected=f"some of the {len(frames)} frames", found=f"none in {config.frames or 'the split'}")
-    longer = config.resolution or max(own[0].camera.width, own[0].camera.height)
-    return [frame._replace(camera=_at_size(frame.camera, longer)) for frame in chosen]
+def _render_sequence(config: RenderConfig, stage: Stage, frames: list[DrivingFrame]) -> int:
+    light = stage.light(one_light(config, stage.avatar))
+    shots = plan_shots(frames, rotate=config.rotate, turntable=config.turntable, frames_per_second=config.fps)
+    count = sum(len(shot.pictures) for shot in shots)
+    _make_folders(config)
+    with ExitStack() as stack:
+        videos = {
+            layer: stack.enter_context(VideoWriter(config.out / f"{layer}.mp4", frames_per_second=config.fps))
+            for layer in config.layers
+            if config.video or config.turntable is not None
+        }
+        bar = stack.enter_context(tqdm(total=count, unit="frame", dynamic_ncols=True))
+        for shot in shots:
+            view = stage.view(shot.frame)
+            for name, degrees in shot.pictures:
+                rendering = stage.relight(view, light, rotate=degrees)
+                for layer in config.layers:
+                    picture = _write(config.out / layer, name, layer_image(rendering, layer))
+                    if layer in videos:
+                        videos[layer].add(picture)
+                bar.update()
+    return count
 
 
-def _own(config: RenderConfig, frames: list[DrivingFrame]) -> Iterator[DrivingFrame]:
-    """The frames that are stored with the avatar."""
-    part = config.split or "test"
-    if part not in ("train", "test"):
-        raise UserError("--split", expected="train or test of the avatar's own frames, or --data DIR", found=repr(part))
-    return (frame for frame in frames if frame.part == part)
+def _render_sheet(config: RenderConfig, stage: Stage, frame: DrivingFrame, maps: list[Path]) -> int:
+    check_maps(config, maps)
+    view = stage.view(frame)
+    pictures: dict[str, list[np.ndarray]] = {layer: [] for layer in config.layers}
+    for path in tqdm(maps, unit="light", dynamic_ncols=True):
+        rendering = stage.relight(view, stage.light(sheet_light(config, path)), rotate=config.rotate)
+        for layer, row in pictures.items():
+            row.append(_display(layer_image(rendering, layer)))
+    _make_folders(config)
+    for layer, row in pictures.items():
+        write_png(config.out / layer / f"{SHEET_NAME}.png", contact_sheet(row, [path.stem for path in maps]))
+    return 1
 
 
-def _driven(config: RenderConfig, avatar: Avatar, folder: Path) -> Iterator[DrivingFrame]:
-    """Frames of another sequence: its pose and expression, the avatar's own shape and static offset."""
-    record = read_json(folder / DESCRIPTION_FILE)["record"]
-    trained_on = record.get("subject") == config.data.resolve().name
-    split = config.split or (record.get("split", "dataset") if trained_on else "dataset")
-    sequence = open_sequence(config.data, split=split, flame=folder / TEMPLATE_FILE)
-    own = avatar.canonical.template
-    if sequence.template.hash != own.hash:
-        raise UserError(sequence.template_path, expected=f"the avatar's head template ({own.hash[:12]})", found=sequence.template.hash[:12])
-    same_person = torch.equal(sequence.shape, avatar.canonical.shape.cpu())
-    for index in sequence.selected:
-        frame = sequence.frames[index]
-        parameters = frame.parameters if same_person else replace(frame.parameters, dynamic_offset=None)
-        yield DrivingFrame(frame.name, parameters, frame.camera, sequence.split.part)
-
-
-def _at_size(camera: Camera, longer: int) -> Camera:
-    scale = longer / max(camera.width, camera.height)
-    return camera.resized(width=max(round(camera.width * scale), 1), height=max(round(camera.height * scale), 1))
-
-
-def _environment(config: RenderConfig, avatar: Avatar) -> Environment:
-    if config.env is not None:
-        return Environment.load(config.env, rotate=config.rotate, exposure=config.exposure)
-    if config.rotate != 0.0:
-        raise UserError("--rotate", expected="--env FILE, the map to turn", found="the learned light, which stays where it was captured")
-    learned = avatar.light.environment()
-    return Environment.from_cubemaps(learned.diffuse * config.exposure, learned.specular * config.exposure)
-
-
-class _Background:
-    """What is behind the head, in display values."""
-
-    def __init__(self, config: RenderConfig, environment: Environment, device: torch.device) -> None:
-        self._environment = environment if config.background == "env" else None
-        self._grey = {"white": 1.0, "black": 0.0}.get(config.background)
-        self._image: np.ndarray | None = None
-        self._device = device
-        if self._environment is None and self._grey is None:
-            path = Path(config.background)
-            if not path.is_file():
-                raise UserError("--background", expected="white, black, env or an image file", found=repr(config.background))
-            self._image = read_image(path, channels=3)
-
-    def behind(self, camera: Camera) -> torch.Tensor | float:
-        if self._environment is not None:
-            return encode_srgb(self._environment.background(camera)).clamp(0.0, 1.0)
-        if self._image is not None:
-            return torch.from_numpy(resize_box(self._image, width=camera.width, height=camera.height)).to(self._device)
-        return self._grey
+def _make_folders(config: RenderConfig) -> None:
+    for layer in config.layers:
+        (config.out / layer).mkdir(parents=True, exist_ok=True)
 
 
 def _write(folder: Path, name: str, layer: LayerImage) -> np.ndarray:
     """Write a layer's PNG, and its EXR where it has values; the picture comes back as (H, W, 3) bytes."""
-    picture = layer.picture.clamp(0.0, 1.0).cpu().numpy()
-    if picture.shape[2] == 1:
-        picture = np.repeat(picture, 3, axis=2)
+    picture = _display(layer)
     write_png(folder / f"{name}.png", picture)
     if layer.values is not None:
         write_exr(folder / f"{name}.exr", layer.values.cpu().numpy())
     return to_uint8(picture)
+
+
+def _display(layer: LayerImage) -> np.ndarray:
+    """(H, W, 3) display values of a layer in 0..1."""
+    picture = layer.picture.clamp(0.0, 1.0).cpu().numpy()
+    return np.repeat(picture, 3, axis=2) if picture.shape[2] == 1 else picture

@@ -54,9 +54,9 @@ class TrainConfig:
     """Train a relightable, animatable avatar from a tracked video of a head."""
 
     data: Path
-    """Dataset folder (VHAP export)."""
+    """Dataset folder: a VHAP export or any other format that samira_warp.check knows."""
     flame: Path | None = None
-    """Head model file (.npz with FLAME's keys) where the dataset has no template.npz of its own."""
+    """FLAME's file (.pkl or .npz, with its UV coordinates and masks beside it), or a template.npz, for a dataset without one."""
     out: Path | None = None
     """Run folder; default runs/<subject>."""
     preset: Literal["cpu", "paper"] | None = None
@@ -81,6 +81,8 @@ class TrainConfig:
     """Folder with LPIPS backbone and linear-head files; default the hub cache or an installed lpips package."""
     color_space: Literal["srgb", "raw"] = "srgb"
     """Shade in linear light and encode to sRGB, or shade directly in image values."""
+    tie_light: bool = False
+    """Learn one light for diffuse and specular shading, as a real light is, instead of one for each."""
     encoder: str = "microsoft/resnet-18"
     """Image encoder of the reference image: a hub id, a local folder, or random."""
     reference: Literal["uv", "screen"] = "uv"

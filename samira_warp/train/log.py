@@ -14,7 +14,8 @@ from tqdm import tqdm
 from samira_warp.avatar import Rendering
 from samira_warp.files import replace_file
 from samira_warp.images import write_png
-from samira_warp.light import encode_srgb
+from samira_warp.light import Environment, encode_srgb
+from samira_warp.light.equirect import cube_to_equirect
 
 LOG_EVERY = 25
 """Steps between log lines: numbers are read back from the device only then."""
@@ -56,9 +57,9 @@ class RunLog:
         if step % LOG_EVERY == 0 or step == self._last:
             self._write(step, gaussians)
 
-    def preview(self, step: int, rendering: Rendering, truth: torch.Tensor) -> None:
-        """Write one preview grid: image | truth | albedo | normal | specular light."""
-        grid = preview_grid(rendering, truth)
+    def preview(self, step: int, rendering: Rendering, truth: torch.Tensor, light: Environment) -> None:
+        """Write one preview grid: image | truth | albedo | normal | specular light | the light itself."""
+        grid = preview_grid(rendering, truth, light)
         write_png(self._previews / f"{step:06d}.png", grid)
         self._board.add_image("preview", grid, step, dataformats="HWC")
 
@@ -76,15 +77,27 @@ class RunLog:
         self._sums, self._count = {}, 0
 
 
-def preview_grid(rendering: Rendering, truth: torch.Tensor) -> np.ndarray:
-    """(H, 5 W, 3) display values: image | truth | albedo | normal | specular light, each on white."""
+def preview_grid(rendering: Rendering, truth: torch.Tensor, light: Environment) -> np.ndarray:
+    """(H, 5 W + 2 (H // 2), 3) display values: image | truth | albedo | normal | specular light, each on white, and `light_panel`."""
     gbuffer = rendering.gbuffer
     alpha = gbuffer.alpha
     panels = [rendering.image, truth]
     panels += [
         alpha * panel + (1.0 - alpha) for panel in (rendering.albedo, 0.5 * (gbuffer.normal + 1.0), encode_srgb(rendering.specular_light))
     ]
+    panels.append(light_panel(light, height=len(truth)))
     return torch.cat(panels, dim=1).clamp(0.0, 1.0).detach().cpu().numpy()
+
+
+def light_panel(light: Environment, *, height: int) -> torch.Tensor:
+    """(height, 2 (height // 2), 3) display values: the diffuse map above the specular one, as panoramas, white where a row is left.
+
+    Radiance x is shown as x / (1 + x), which leaves no lamp without its colour.
+    """
+    half = height // 2
+    maps = [cube_to_equirect(radiance, height=half) for radiance in (light.diffuse, light.specular)]
+    shown = encode_srgb(torch.cat([radiance / (1.0 + radiance) for radiance in maps]))
+    return torch.cat([shown, shown.new_ones(height - 2 * half, 2 * half, 3)])
 
 
 def _drop_lines_after(path: Path, step: int) -> None:

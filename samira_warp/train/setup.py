@@ -92,6 +92,7 @@ def avatar_settings(config: TrainConfig) -> AvatarSettings:
         displacement_frame=config.displacement,
         residual_frame=config.residual_frame,
         color_space=config.color_space,
+        tied_light=config.tie_light,
     )
 
 
@@ -134,7 +135,7 @@ def start(config: TrainConfig, sequence: Sequence, pixels: PixelCache, *, steps:
         smooth_normals=config.normals == "vertex",
         generator=generator,
     )
-    light = LearnableLight(_mean_light(appearance, albedo, canonical))
+    light = LearnableLight(_mean_light(appearance, albedo, canonical), tied=config.tie_light)
     avatar = Avatar(canonical, settings, gaussians=gaussians, image_features=features, statistics=statistics, light=light)
     return Start(avatar.to(config.device), sequence.frames[index].name, encoder)
 

@@ -71,7 +71,7 @@ class Trainer:
                 rendering, target, terms = self.train_step()
                 log.add(self.step, terms, gaussians=len(self.avatar.gaussians))
                 if self.step % self.config.preview_every == 0 or self.step == self.schedule.steps:
-                    log.preview(self.step, rendering, target.image)
+                    log.preview(self.step, rendering, target.image, self.avatar.light.environment())
                 if self.step % self.config.checkpoint_every == 0 or self.step == self.schedule.steps:
                     self.save(folder, record)
             finished = self.step == self.schedule.steps

@@ -11,6 +11,7 @@ from subjects import camera, parameters, small_avatar, small_canonical
 
 from samira_warp import Avatar, UserError
 from samira_warp.avatar import DrivingFrame, read_frames, write_frames
+from samira_warp.light import Environment
 from samira_warp.nets import MotionSettings
 
 
@@ -43,6 +44,17 @@ def test_a_loaded_avatar_renders_the_same_bits(saved):
     assert loaded.settings == avatar.settings
 
 
+def test_the_saved_light_is_the_learned_one(saved):
+    avatar, folder = saved
+    learned, read = avatar.light.environment(), Environment.load(folder)
+    assert torch.equal(read.diffuse, learned.diffuse)
+    assert torch.equal(read.specular, learned.specular)
+    frame, view = parameters(1), camera(32)
+    with torch.no_grad():
+        # 32-bit floats are written as they are: the same bits, so the same picture
+        assert torch.equal(avatar.render(frame, view, read).image, avatar.render(frame, view, learned).image)
+
+
 def test_every_setting_survives(tmp_path):
     avatar = small_avatar(
         motion=MotionSettings(width=6, region_width=3, condition_width=5, bands=2, routing=False, displacement=False),
@@ -50,6 +62,7 @@ def test_every_setting_survives(tmp_path):
         displacement_frame="world",
         color_space="raw",
         response=False,
+        tied_light=True,
     )
     avatar.save(tmp_path, record={})
     assert Avatar.load(tmp_path).settings == avatar.settings
@@ -70,7 +83,8 @@ def test_a_run_folder_stands_for_its_avatar(saved):
 
 def test_the_files_hold_no_pickle(saved):
     _, folder = saved
-    assert sorted(path.name for path in folder.iterdir()) == ["avatar.json", "avatar.safetensors", "frames.safetensors", "template.npz"]
+    names = {"avatar.json", "avatar.safetensors", "frames.safetensors", "light_diffuse.exr", "light_specular.exr", "template.npz"}
+    assert {path.name for path in folder.iterdir()} == names
     with np.load(folder / "template.npz", allow_pickle=False) as archive:
         assert all(archive[key].dtype.kind != "O" for key in archive)
     assert json.loads((folder / "avatar.json").read_text())["record"]["subject"] == "tiny"
@@ -103,6 +117,27 @@ def test_a_broken_file_is_named(copy, name, damage):
     content = (copy / name).read_bytes()
     (copy / name).write_bytes({"cut": content[: len(content) // 2], "empty": b"", "other": b"\x00\xff" * 100}[damage])
     refuses(copy, copy / name)
+
+
+def test_an_avatar_of_the_first_format_has_two_lights(copy):
+    description = json.loads((copy / "avatar.json").read_text())
+    del description["settings"]["tied_light"]
+    (copy / "avatar.json").write_text(json.dumps({**description, "format": 1}))
+    avatar = Avatar.load(copy)
+    assert avatar.settings.tied_light is False
+    assert avatar.light.diffuse is not None
+
+
+def test_a_tied_light_is_one_map_and_comes_back(tmp_path):
+    avatar = small_avatar(tied_light=True)
+    with torch.no_grad():
+        avatar.light.specular.normal_()
+    avatar.save(tmp_path, record={})
+    assert "light.diffuse" not in tensor_names(tmp_path / "avatar.safetensors")
+    loaded = Avatar.load(tmp_path)
+    assert loaded.settings.tied_light
+    with torch.no_grad():
+        assert torch.equal(loaded.light().irradiance, avatar.light().irradiance)
 
 
 def test_another_format_is_refused(copy):

@@ -6,6 +6,7 @@ import torch
 from samira_warp.errors import UserError
 from samira_warp.kernels.cubemap import face_axes, texel_directions, texel_index, texel_points, texel_solid_angles
 from samira_warp.kernels.cubemap_lookup import sample_cubemap, sample_mips
+from samira_warp.light.equirect import cube_to_equirect, equirect_to_cube
 from samira_warp.reference import cubemap as reference
 
 
@@ -83,9 +84,11 @@ def test_level_gradient_is_one_sided_at_the_ends_and_zero_beyond(device):
     assert torch.autograd.grad(result.sum(), levels)[0].tolist() == pytest.approx([0, 2, 4, 4, 4, 0])
 
 
-def test_values_agree_across_every_seam(device, generator):
-    size = 8
-    cubemap = torch.rand(6, size, size, 3, generator=generator).to(device)
+@pytest.mark.parametrize("size", [1, 2, 8])
+def test_values_agree_across_every_seam_and_corner(device, generator, size):
+    """Both of a chain's mips at once; each of the 12 edges from its two sides, from corner to corner."""
+    mips = tuple(torch.rand(6, s, s, 3, generator=generator).to(device) for s in (size, 4))
+    levels = torch.full((41,), 0.3, device=device)
     along = torch.linspace(-1, 1, 41, device=device)
     for axis in range(3):
         for first in (-1.0, 1.0):
@@ -96,17 +99,38 @@ def test_values_agree_across_every_seam(device, generator):
                 one[:, axis - 1] *= 1 + 1e-5
                 other[:, axis - 2] *= 1 + 1e-5
                 # 1e-5 of a face is 4e-5 of a texel, on either side, and a texel differs by at most 1 from the next.
-                assert torch.allclose(sample_cubemap(cubemap, one), sample_cubemap(cubemap, other), atol=2e-4)
+                assert torch.allclose(sample_mips(mips, one, levels), sample_mips(mips, other, levels), atol=2e-4)
 
 
-def test_adjoint_of_the_texels(device, generator):
-    cubemap = torch.randn(6, 6, 6, 3, generator=generator).to(device).requires_grad_()
+def test_a_corner_is_the_mean_of_its_three_texels(device, generator):
+    cubemap = torch.rand(6, 4, 4, 3, generator=generator).to(device)
+    corners = torch.tensor([[x, y, z] for x in (-4, 4) for y in (-4, 4) for z in (-4, 4)])
+    texels = corners[:, None] - torch.sign(corners)[:, None] * (1 - torch.eye(3, dtype=torch.int64))
+    wanted = cubemap.view(-1, 3)[texel_index(texels, 4).to(device)].mean(dim=1)
+    assert torch.allclose(sample_cubemap(cubemap, corners.float().to(device)), wanted, atol=1e-6)
+
+
+def is_adjoint(operator, source, generator):
+    """Whether <A x, y> = <x, A' y> to 1e-5 of |A x| |y|, for the linear operator that autograd makes A' of."""
+    source.requires_grad_()
+    result = operator(source)
+    upstream = torch.randn(result.shape, generator=generator).to(result)
+    (adjoint,) = torch.autograd.grad(result, source, upstream)
+    difference = (result.double() * upstream.double()).sum() - (source.double() * adjoint.double()).sum()
+    return abs(difference) <= 1e-5 * result.norm().double() * upstream.norm().double()
+
+
+def test_every_linear_operator_has_its_exact_adjoint(device, generator):
+    cubemap = torch.randn(6, 6, 6, 3, generator=generator).to(device)
     directions = random_directions(5000, generator).float().to(device)
-    upstream = torch.randn(5000, 3, generator=generator).to(device)
-    result = sample_cubemap(cubemap, directions)
-    (adjoint,) = torch.autograd.grad(result, cubemap, upstream)
-    forward = (result.double() * upstream.double()).sum()
-    assert abs(forward - (cubemap.double() * adjoint.double()).sum()) <= 1e-5 * result.norm().double() * upstream.norm().double()
+    levels = 3 * torch.rand(5000, generator=generator).to(device) - 1
+    assert is_adjoint(lambda x: sample_cubemap(x, directions), cubemap, generator)
+    chain = torch.randn(6 * (64 + 16), 3, generator=generator).to(device)
+    assert is_adjoint(
+        lambda x: sample_mips((x[: 6 * 64].view(6, 8, 8, 3), x[6 * 64 :].view(6, 4, 4, 3)), directions, levels), chain, generator
+    )
+    assert is_adjoint(lambda x: equirect_to_cube(x, size=8, rotate=30.0), torch.randn(16, 32, 3, generator=generator).to(device), generator)
+    assert is_adjoint(lambda x: cube_to_equirect(x, height=12), cubemap, generator)
 
 
 def test_same_bits_for_any_threads_run_and_pass(device, generator):

@@ -7,11 +7,20 @@ import torch
 
 from samira_warp.camera import Camera
 from samira_warp.errors import UserError
+from samira_warp.images import write_exr
 from samira_warp.kernels.cubemap import texel_solid_angles
 from samira_warp.kernels.cubemap_lookup import sample_cubemap
-from samira_warp.light import Environment, LearnableLight
-from samira_warp.light.environment import read_radiance
-from samira_warp.light.equirect import cube_to_equirect, direction_to_equirect, equirect_directions, equirect_to_cube
+from samira_warp.light import Environment, encode_srgb
+from samira_warp.light.cross import cube_to_cross
+from samira_warp.light.equirect import (
+    cube_to_equirect,
+    direction_to_equirect,
+    equirect_directions,
+    equirect_to_cube,
+    picture_equirect,
+    turn_directions,
+)
+from samira_warp.light.radiance_map import RadianceMap
 
 
 def write(path, pixels, format=OpenImageIO.FLOAT):
@@ -100,12 +109,12 @@ def test_load(tmp_path, suffix, generator):
     pixels[5, 7] = 900.0
     path = write(tmp_path / f"lämp 1{suffix}", pixels)
     # .hdr shares one exponent of 8 bits of mantissa between the channels.
-    assert np.allclose(read_radiance(path).numpy(), pixels, rtol=1e-3, atol=8 / 256 if suffix == ".hdr" else 0)
+    assert np.allclose(RadianceMap.read(path).texels.numpy(), pixels, rtol=1e-3, atol=8 / 256 if suffix == ".hdr" else 0)
     environment = Environment.load(path, exposure=2.0, size=32)
     assert torch.allclose(mean_radiance(environment.specular), 2 * equirect_mean(torch.from_numpy(pixels)), rtol=2e-2)
     light = environment.filtered()
     assert light.irradiance.shape == (6, 16, 16, 3)
-    assert [mip.shape[1] for mip in light.specular] == [32, 16, 8, 4, 4]
+    assert [mip.shape[1] for mip in light.specular] == [32, 16, 16, 8, 8, 4, 4, 4, 4]
 
 
 def test_rotation_turns_the_light(tmp_path):
@@ -115,6 +124,89 @@ def test_rotation_turns_the_light(tmp_path):
     turned = Environment.load(path, rotate=90.0, size=32)
     # Column 0.5 is seen where 0.5 + azimuth / 360 + 0.25 is 0.5: at azimuth -90 degrees, -x.
     assert turned.specular[1].sum() > 0.99 * turned.specular.sum()
+
+
+@pytest.mark.parametrize("rotate", [0.0, 33.0, -170.0])
+def test_turning_a_look_is_turning_the_light(rotate):
+    panorama = 1 + equirect_directions(32)
+    directions = equirect_directions(9).view(-1, 3)
+    turned = equirect_to_cube(panorama, size=32, rotate=rotate)
+    seen = sample_cubemap(equirect_to_cube(panorama, size=32), turn_directions(directions, rotate))
+    # two resamplings of a map of slope 1, whose pixels are the coarsest: second-order errors
+    assert (sample_cubemap(turned, directions) - seen).abs().max() < (math.pi / 32) ** 2
+
+
+@pytest.mark.parametrize("size", [(1, 2), (2, 4), (32, 64)])
+def test_a_picture_of_a_panorama_is_smooth_and_within_its_range(size, generator):
+    panorama = torch.rand(*size, 3, generator=generator)
+    u = torch.linspace(-math.pi, math.pi, 2001)
+    around = torch.stack([torch.sin(u), torch.full_like(u, 0.2), -torch.cos(u)], dim=-1)
+    seen = picture_equirect(panorama, torch.nn.functional.normalize(around, dim=-1))
+    assert seen.min() >= panorama.min() - 1e-6
+    assert seen.max() <= panorama.max() + 1e-6
+    assert torch.allclose(seen[0], seen[-1], atol=1e-3)
+    # a B-spline's slope is at most the difference of neighbouring pixels a pixel
+    assert (seen[1:] - seen[:-1]).abs().max() <= 1.01 * size[1] / 2000
+
+
+def test_a_picture_of_a_panorama_keeps_a_slope():
+    directions = equirect_directions(40).view(-1, 3)
+    # a spline of a linear function is that function; directions curve by a pixel's angle squared
+    assert (picture_equirect(equirect_directions(64), directions) - directions).abs().max() < (math.pi / 64) ** 2
+
+
+def test_auto_exposure_makes_the_mean_irradiance_one(tmp_path, generator):
+    pixels = torch.rand(32, 64, 3, generator=generator).numpy() * 7
+    environment = Environment.load(write(tmp_path / "map.exr", pixels), exposure="auto", size=32)
+    luminance = torch.tensor([0.2126, 0.7152, 0.0722], dtype=torch.float64)
+    assert (environment.mean_irradiance() @ luminance).item() == pytest.approx(1)
+    # the mean over directions of the irradiance that shading reads, which is of 16 x 16 texels
+    assert (mean_radiance(environment.filtered().irradiance) @ luminance).item() == pytest.approx(1, rel=2e-3)
+    fixed = Environment.load(tmp_path / "map.exr", size=32)
+    gain = environment.specular.sum() / fixed.specular.sum()
+    assert torch.allclose(environment.visible.texels, gain * fixed.visible.texels)
+    with pytest.raises(UserError, match="black"):
+        Environment.load(write(tmp_path / "black.exr", 0 * pixels), exposure="auto", size=32)
+
+
+def test_an_8_bit_picture_is_taken_when_it_is_asked_for(tmp_path):
+    levels = np.tile(np.arange(16, dtype=np.uint8)[None, :, None] * 17, (8, 1, 3))
+    path = write(tmp_path / "picture.png", levels, OpenImageIO.UINT8)
+    texels = RadianceMap.read(path, ldr=True).texels
+    assert torch.allclose(encode_srgb(texels), torch.from_numpy(levels) / 255.0, atol=1e-6)
+    assert Environment.load(path, ldr=True, size=16).specular.shape == (6, 16, 16, 3)
+
+
+@pytest.mark.parametrize("size", [(1, 2), (5, 10), (33, 66), (300, 600)])
+def test_panoramas_of_any_size(tmp_path, size):
+    environment = Environment.load(write(tmp_path / "map.exr", np.full((*size, 3), 2, np.float32)), size=16)
+    assert torch.allclose(environment.specular, torch.tensor(2.0), rtol=1e-4)
+
+
+@pytest.mark.parametrize("turn", [0.0, 70.0])
+def test_a_cross_is_the_same_light_as_its_panorama(tmp_path, generator, turn):
+    panorama = torch.rand(8, 16, 3, generator=generator).repeat_interleave(8, 0).repeat_interleave(8, 1)
+    lying = cube_to_cross(equirect_to_cube(panorama, size=64))
+    write_exr(tmp_path / "cross.exr", lying.numpy())
+    write_exr(tmp_path / "panorama.exr", panorama.numpy())
+    cross, whole = (Environment.load(tmp_path / f"{name}.exr", size=32, rotate=turn) for name in ("cross", "panorama"))
+    # only the edges of the panorama's blocks differ, which are resampled twice; two maps at random would differ by a third
+    assert (cross.specular - whole.specular).abs().mean() < 0.02
+    assert torch.allclose(mean_radiance(cross.specular), mean_radiance(whole.specular), rtol=5e-3)
+
+
+def test_a_pair_of_maps_is_a_light_for_diffuse_and_one_for_specular(tmp_path, generator):
+    diffuse, specular = torch.rand(6, 16, 16, 3, generator=generator), 5 * torch.rand(6, 64, 64, 3, generator=generator)
+    Environment.from_cubemaps(diffuse, specular).save(tmp_path)
+    for read in (Environment.load(tmp_path), Environment.load(tmp_path / "light_diffuse.exr", tmp_path / "light_specular.exr")):
+        assert torch.equal(read.diffuse, diffuse)
+        assert torch.equal(read.specular, specular)
+    # a turned pair is resampled, and seen by the camera as it is by shading
+    turned = Environment.load(tmp_path, rotate=90.0, size=128)
+    assert turned.diffuse.shape == turned.specular.shape == (6, 128, 128, 3)
+    assert torch.allclose(mean_radiance(turned.specular), mean_radiance(specular), rtol=1e-3)
+    exposed = Environment.load(tmp_path, exposure=3.0)
+    assert torch.equal(exposed.diffuse, 3 * diffuse)
 
 
 def test_background_is_the_environment_straight_ahead():
@@ -134,9 +226,11 @@ def test_background_is_the_environment_straight_ahead():
     ("make", "message"),
     [
         (lambda path: path, "no such file"),
-        (lambda path: path.write_bytes(b"not an image") and path, "unreadable"),
+        (lambda path: path.write_bytes(b"not an image") and path, "readable"),
         (lambda path: write(path.with_suffix(".png"), np.zeros((8, 16, 3), np.uint8), OpenImageIO.UINT8), "8-bit"),
         (lambda path: write(path, np.ones((8, 8, 3), np.float32)), "8 x 8"),
+        (lambda path: write(path, np.ones((8, 12, 3), np.float32)), "4:3 or 3:4"),
+        (lambda path: path.mkdir() or path, "light_diffuse.exr and light_specular.exr"),
         (lambda path: write(path, np.full((8, 16, 3), np.inf, np.float32)), "384 values"),
         (lambda path: write(path, np.ones((8, 16, 2), np.float32)), "channels"),
     ],
@@ -159,22 +253,3 @@ def test_real_maps_have_the_brightness_that_the_dataset_states(subject):
         assert (mean_radiance(environment.diffuse) @ luminance).item() == pytest.approx(stated["mean_radiance"], rel=1e-2)
         front = sample_cubemap(environment.filtered().irradiance, torch.tensor([[0.0, 0.0, 1.0]])).double() @ luminance
         assert front.item() == pytest.approx(stated["front_irradiance_over_pi"], rel=1.5e-2)
-
-
-def test_learnable_light_starts_uniform_and_learns(device):
-    light = LearnableLight(torch.tensor([0.25, 1.0, 30.0])).to(device)
-    start = light()
-    for mip in (start.irradiance, *start.specular):
-        assert torch.allclose(mip, torch.tensor([0.25, 1.0, 30.0], device=device), rtol=1e-3)
-    (start.irradiance.sum() + sum(mip.sum() for mip in start.specular)).backward()
-    assert (light.diffuse.grad > 0).all()
-    assert (light.specular.grad > 0).all()
-    environment = light.environment()
-    assert not environment.specular.requires_grad
-    assert torch.allclose(environment.filtered().specular[1], start.specular[1])
-
-
-def test_learnable_light_survives_black_and_extreme_radiance():
-    for value in (0.0, 1e-6, 1e4):
-        diffuse, _ = LearnableLight(torch.full((3,), value)).radiance()
-        assert torch.allclose(diffuse, torch.tensor(max(value, 1e-4)), rtol=1e-3)

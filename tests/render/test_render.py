@@ -251,7 +251,16 @@ def files(tmp_path):
     write_png(tmp_path / "eight.png", np.zeros((8, 16, 3)))
     write_exr(tmp_path / "square.exr", np.zeros((8, 8, 3)))
     write_exr(tmp_path / "nan.exr", np.full((8, 16, 3), np.nan))
+    write_exr(tmp_path / "half.exr", np.ones((8, 16, 3)))
+    write_exr(tmp_path / "black.exr", np.zeros((8, 16, 3)))
     (tmp_path / "text.hdr").write_text("no radiance")
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "maps").mkdir()
+    (tmp_path / "dark").mkdir()
+    write_exr(tmp_path / "dark" / "a.exr", np.ones((8, 16, 3)))
+    write_exr(tmp_path / "dark" / "b.exr", np.zeros((8, 16, 3)))
+    write_exr(tmp_path / "maps" / "a.exr", np.ones((8, 16, 3)))
+    (tmp_path / "maps" / "broken.hdr").write_text("no radiance")
     (tmp_path / "text.png").write_text("no picture")
     return tmp_path
 
@@ -276,7 +285,27 @@ def files(tmp_path):
         (["--exposure", "nan"], "--exposure"),
         (["--exposure", "inf"], "--exposure"),
         (["--rotate", "nan"], "--rotate"),
-        (["--rotate", "90"], "--rotate"),
+        (["--turntable", "0"], "--turntable"),
+        (["--turntable", "-2"], "--turntable"),
+        (["--turntable", "inf"], "--turntable"),
+        (["--env", "square.exr", "square.exr", "square.exr"], "3 files"),
+        (["--env", "half.exr", "square.exr"], "square.exr"),
+        (["--env", "empty"], "empty: expected environment maps"),
+        (["--env", "maps"], "broken.hdr"),
+        (["--env", "maps", "--turntable", "1"], "--turntable"),
+        (["--env", "maps", "--video"], "--video"),
+        (["--env", "black.exr", "--exposure", "auto"], "black"),
+        (["--env", "dark", "--exposure", "auto"], "b.exr"),
+        (["--roughness", "rough"], "roughness"),
+        (["--roughness", "1.5"], "0 to 1"),
+        (["--roughness", "x-1"], "roughness"),
+        (["--specular", "xinf"], "specular"),
+        (["--albedo", "#12345"], "#rrggbb"),
+        (["--albedo", "1,2"], "albedo"),
+        (["--albedo", "1,2,nan"], "albedo"),
+        (["--albedo", "x1.2", "--region", "hair"], "'hair'"),
+        (["--albedo", "x1.2", "--region", "nose,hair"], "'hair'"),
+        (["--region", "nose"], "--region"),
         (["--resolution", "0"], "--resolution"),
         (["--resolution", "-8"], "--resolution"),
         (["--fps", "0"], "--fps"),

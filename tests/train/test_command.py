@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 
+import numpy as np
 import OpenImageIO
 import pytest
 import torch
@@ -14,7 +15,8 @@ from data.damage import change_json
 from safetensors.torch import load_file
 from subjects import STEPS, train_arguments, train_command
 
-from samira_warp.avatar import read_frames
+from samira_warp.avatar import Avatar, read_frames
+from samira_warp.images import read_image
 from samira_warp.train.config import PRESETS, TrainConfig
 from samira_warp.train.setup import resolve
 
@@ -36,6 +38,8 @@ def test_a_run_folder_holds_what_the_contract_says(tiny_run):
         "avatar.json",
         "avatar.safetensors",
         "frames.safetensors",
+        "light_diffuse.exr",
+        "light_specular.exr",
         "template.npz",
     }
     assert sorted(path.name for path in (tiny_run / "checkpoints").iterdir()) == ["step_000003", "step_000006"]
@@ -79,10 +83,21 @@ def test_results_score_the_test_frames_and_name_the_protocol(tiny_run):
     assert results["protocol"]["background"] == "white"
 
 
-def test_previews_show_five_panels(tiny_run):
+def test_previews_show_five_panels_and_the_light(tiny_run):
     image = OpenImageIO.ImageInput.open(str(tiny_run / "preview" / f"{STEPS:06d}.png"))
-    assert (image.spec().width, image.spec().height) == (5 * 32, 32)
+    assert (image.spec().width, image.spec().height) == (6 * 32, 32)
     image.close()
+
+
+def test_a_tied_light_is_one_map_in_avatar_and_preview(tiny_dataset, tmp_path):
+    assert train_command(*train_arguments(tiny_dataset, tmp_path / "run", "--tie-light")) == 0
+    avatar = Avatar.load(tmp_path / "run")
+    assert avatar.settings.tied_light
+    assert avatar.light.specular.std() > 0
+    panel = read_image(tmp_path / "run" / "preview" / f"{STEPS:06d}.png", channels=3)[:, 5 * 32 :]
+    # diffuse above specular: the same map twice
+    assert np.array_equal(panel[:16], panel[16:])
+    assert 0.3 < panel.mean() < 0.9
 
 
 def test_the_avatar_keeps_its_frames_fitted_where_it_trained(tiny_run, tiny_dataset):

@@ -2,7 +2,6 @@
 
 import contextlib
 import json
-import resource
 import shutil
 import signal
 import subprocess
@@ -10,7 +9,7 @@ import sys
 
 import pytest
 import torch
-from data.damage import change_arrays
+from data.damage import change_arrays, file_size_limit
 from data.tiny import make_tiny_dataset
 from safetensors.torch import load_file, save_file
 from subjects import TESTS, train_arguments, train_command, write_lpips_weights
@@ -201,17 +200,6 @@ def test_a_broken_checkpoint_is_named(tiny_run, tiny_dataset, tmp_path, capsys, 
     path = folder / "checkpoints" / "step_000006" / name
     path.write_bytes(path.read_bytes()[:1000])
     assert str(path) in refused(capsys, *train_arguments(tiny_dataset, folder), "--resume")
-
-
-@contextlib.contextmanager
-def file_size_limit(size):
-    """Writing beyond ``size`` bytes of a file fails, as it does where a disk is full."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 @pytest.mark.parametrize("file", ["avatar.safetensors", "training.safetensors"])

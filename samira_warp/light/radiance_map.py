@@ -1,0 +1,106 @@
+"""Radiance all around, as a file holds it: a panorama or a cube cross."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from samira_warp.camera import Camera
+from samira_warp.errors import UserError
+from samira_warp.images import Channels, is_linear, read_channels
+from samira_warp.kernels.cubemap_lookup import sample_cubemap
+from samira_warp.light.color import decode_srgb
+from samira_warp.light.cross import cross_to_cube, is_cross, resample_cube
+from samira_warp.light.equirect import equirect_to_cube, picture_equirect, turn_directions
+
+
+@dataclass(frozen=True)
+class RadianceMap:
+    """A map at its own resolution.
+
+    Attributes:
+        texels: (H, 2 H, 3) panorama or (6, S, S, 3) cubemap, float32 linear radiance.
+        rotate: Degrees by which it is turned, as the head of `samira_warp.light.equirect` has it.
+    """
+
+    texels: torch.Tensor
+    rotate: float = 0.0
+
+    @classmethod
+    def read(cls, path: str | Path, *, ldr: bool = False) -> RadianceMap:
+        """Read a map of any size: an equirectangular panorama (2:1) or a cube cross, lying (4:3) or upright (3:4).
+
+        The shape tells which it is. A single channel becomes grey; slightly negative values become 0.
+
+        Args:
+            path: A floating-point file (.hdr, .exr).
+            ldr: Also take files of whole numbers (.jpg, .png), decoded from sRGB.
+
+        Raises:
+            UserError: The file is missing, unreadable, of whole numbers without ``ldr``, of another shape, or holds values that are not
+                finite.
+        """
+        path = Path(path)
+        linear = is_linear(path)
+        if not linear and not ldr:
+            raise UserError(
+                path,
+                expected="floating-point radiance (.hdr or .exr), because an 8-bit image clips the lamps and the sun that light a face "
+                "(--ldr takes it as it is)",
+                found="whole numbers",
+            )
+        pixels = torch.from_numpy(np.ascontiguousarray(_rgb(read_channels(path), path)))
+        if not pixels.isfinite().all():
+            found = f"{int((~pixels.isfinite()).sum())} values that are infinite or not numbers"
+            raise UserError(path, expected="finite radiance", found=found)
+        radiance = pixels.clamp(min=0) if linear else decode_srgb(pixels)
+        height, width = radiance.shape[:2]
+        if width == 2 * height:
+            return cls(radiance)
+        if is_cross(height, width):
+            return cls(cross_to_cube(radiance))
+        shapes = "an equirectangular map, twice as wide as high, or a cube cross, 4:3 or 3:4"
+        raise UserError(path, expected=shapes, found=f"{width} x {height}")
+
+    @property
+    def face_size(self) -> int | None:
+        """S of a cubemap, None of a panorama."""
+        return self.texels.shape[1] if self.texels.dim() == 4 else None
+
+    def to_cube(self, size: int) -> torch.Tensor:
+        """(6, size, size, 3) radiance, each texel the mean over its solid angle; a cubemap of that size that is not turned is itself."""
+        convert = equirect_to_cube if self.face_size is None else resample_cube
+        return convert(self.texels, size=size, rotate=self.rotate)
+
+    def look(self, directions: torch.Tensor) -> torch.Tensor:
+        """(..., 3) radiance that unit directions (..., 3) float32 see, smooth between the map's own texels."""
+        if self.face_size is None:
+            return picture_equirect(self.texels, directions, rotate=self.rotate)
+        turned = turn_directions(directions, self.rotate).reshape(-1, 3)
+        return sample_cubemap(self.texels, turned).view(directions.shape)
+
+    def behind(self, camera: Camera, *, rotate: float = 0.0) -> torch.Tensor:
+        """(H, W, 3) what a camera sees of it, turned by so many degrees more."""
+        return self.look(turn_directions(camera.to(self.texels.device).ray_directions().to(torch.float32), rotate))
+
+    def exposed(self, factor: float) -> RadianceMap:
+        """The same map with its radiance multiplied."""
+        return self if factor == 1.0 else replace(self, texels=self.texels * factor)
+
+    def to(self, device: torch.device | str) -> RadianceMap:
+        """The same map on ``device``."""
+        return replace(self, texels=self.texels.to(device))
+
+
+def _rgb(channels: Channels, path: Path) -> np.ndarray:
+    """(H, W, 3) colour of a file's channels: R, G and B whatever is beside them, or the only one there is beside alpha."""
+    names = channels.names
+    if all(name in names for name in "RGB"):
+        return channels.pixels[..., [names.index(name) for name in "RGB"]]
+    grey = [index for index, name in enumerate(names) if name != "A"]
+    if len(grey) == 1:
+        return np.repeat(channels.pixels[..., grey], 3, axis=-1)
+    raise UserError(path, expected="channels R, G, B or a single one", found=", ".join(names))

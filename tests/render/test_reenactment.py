@@ -1,0 +1,159 @@
+"""Avatars that are driven by another person's sequence, from the command line."""
+
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from data.damage import change_arrays
+from data.tiny import N_EXPRESSION
+from subjects import render_command
+
+from samira_warp.avatar import Avatar, read_frames
+from samira_warp.data import open_sequence
+from samira_warp.head import read_template
+from samira_warp.images import read_image
+from samira_warp.render.config import RenderConfig
+from samira_warp.render.sources import select_frames
+
+NAMES = np.array(["jawOpen", "browsUp", "smileLeft", "smileRight"])
+
+
+@pytest.fixture(scope="module")
+def other(tiny_dataset, tmp_path_factory):
+    """Another person, who turns and opens the mouth farther than the avatar was seen to, and whose neutral face is frame 1."""
+    folder = shutil.copytree(tiny_dataset, tmp_path_factory.mktemp("other") / "somebody else")
+    for number, path in enumerate(sorted(folder.glob("flame_param/*.npz"))):
+        change_arrays(path, shape=np.array([0.3, 0.2], np.float32))
+        change_arrays(path, rotation=np.full((1, 3), 0.4 * number, np.float32), jaw_pose=np.array([[0.1 * number, 0, 0]], np.float32))
+    change_arrays(folder / "canonical_flame_param.npz", shape=np.array([0.3, 0.2], np.float32))
+    return folder
+
+
+def driven_by(data, avatar_folder, **options):
+    """The frames that the render verb would show."""
+    folder = avatar_folder / "avatar"
+    return select_frames(RenderConfig(avatar_folder, avatar_folder, data=data, **options), Avatar.load(folder), folder)
+
+
+def command(*arguments):
+    """The render verb in a process of its own."""
+    words = [sys.executable, "-m", "samira_warp.render", *map(str, arguments), "--device", "cpu"]
+    return subprocess.run(words, capture_output=True, text=True, timeout=300, check=False)
+
+
+def with_names(folder, names):
+    """The same dataset with other names for its expressions, which makes its template another one."""
+    change_arrays(folder / "template.npz", expression_names=np.asarray(names))
+    return folder
+
+
+def renamed_avatar(run, target, names):
+    """A copy of an avatar whose expressions have other names, which is another template as well."""
+    shutil.copytree(run / "avatar", target)
+    avatar = Avatar.load(target)
+    with_names(target, names)
+    avatar.canonical = replace(avatar.canonical, template=read_template(target / "template.npz"))
+    avatar.save(target, record={})
+    return target
+
+
+def test_the_render_verb_is_driven_by_another_person(tiny_run, other, tmp_path):
+    options = ("--avatar", tiny_run, "--data", other, "--neutral-frame", 1, "--expression-gain", 1.5)
+    ended = command(*options, "--out", tmp_path / "held")
+    assert ended.returncode == 0, ended.stderr
+    assert render_command(*options, "--no-clamp", "--out", tmp_path / "free") == 0
+    held, free = ({path.name: read_image(path, channels=3) for path in (tmp_path / name / "image").iterdir()} for name in ("held", "free"))
+    assert set(held) == set(free) == {"00004_00.png", "00005_00.png"}
+    # turned by 1.6 and 2 radians about each axis the head shows another side
+    assert all(np.abs(held[name] - free[name]).max() > 0.1 for name in held)
+
+
+def test_pose_is_held_to_the_training_frames(tiny_run, other):
+    seen = [frame.parameters for frame in read_frames(tiny_run) if frame.part == "train"]
+    free = driven_by(other, tiny_run, clamp=False)
+    for held, loose in zip(driven_by(other, tiny_run), free, strict=True):
+        for name in ("rotation", "neck", "jaw", "eyes"):
+            values = torch.stack([getattr(parameters, name) for parameters in seen])
+            expected = torch.minimum(torch.maximum(getattr(loose.parameters, name), values.amin(0)), values.amax(0))
+            assert torch.equal(getattr(held.parameters, name), expected), name
+        assert torch.equal(held.parameters.expression, loose.parameters.expression)
+        assert torch.equal(held.parameters.translation, loose.parameters.translation)
+    assert any(not torch.equal(frame.parameters.jaw, torch.zeros(3)) for frame in free)
+
+
+def test_the_neutral_frame_is_counted_over_the_whole_sequence(tiny_run, other):
+    neutral, *_ = (frame.parameters for frame in open_sequence(other).frames[1:])
+    plain = driven_by(other, tiny_run, clamp=False)
+    relative = driven_by(other, tiny_run, clamp=False, neutral_frame=1, expression_gain=2.0)
+    for before, after in zip(plain, relative, strict=True):
+        assert torch.equal(after.parameters.expression, 2.0 * (before.parameters.expression - neutral.expression))
+        assert torch.equal(after.parameters.jaw, before.parameters.jaw - neutral.jaw)
+
+
+def test_the_avatars_own_person_is_not_held(tiny_run, tiny_dataset):
+    tracked = open_sequence(tiny_dataset)
+    for driven, index in zip(driven_by(tiny_dataset, tiny_run), tracked.test, strict=True):
+        for name in ("rotation", "jaw", "expression"):
+            assert torch.equal(getattr(driven.parameters, name), getattr(tracked.frames[index].parameters, name))
+
+
+def test_a_gain_works_without_another_sequence(tiny_run):
+    own = [frame for frame in read_frames(tiny_run) if frame.part == "test"]
+    for before, after in zip(own, driven_by(None, tiny_run, expression_gain=0.5), strict=True):
+        assert torch.equal(after.parameters.expression, 0.5 * before.parameters.expression)
+
+
+def test_another_template_drives_by_the_names_of_its_expressions(tiny_run, other, tmp_path, capsys):
+    avatar = renamed_avatar(tiny_run, tmp_path / "avatar", NAMES)
+    driver = with_names(shutil.copytree(other, tmp_path / "driver"), NAMES[::-1])
+    assert render_command("--avatar", avatar, "--data", driver, "--out", tmp_path / "out") == 0
+    assert "note:" not in capsys.readouterr().err
+    config = RenderConfig(avatar, tmp_path, data=driver)
+    for driven, tracked in zip(select_frames(config, Avatar.load(avatar), avatar), open_sequence(driver).frames[4:], strict=True):
+        assert torch.equal(driven.parameters.expression, tracked.parameters.expression.flip(0))
+
+
+def test_what_names_do_not_carry_over_is_said(tiny_run, other, tmp_path, capsys):
+    """Four of five expressions."""
+    names = [*NAMES, "puff"]
+    avatar = renamed_avatar(tiny_run, tmp_path / "avatar", NAMES)
+    driver = shutil.copytree(other, tmp_path / "driver")
+    change_arrays(driver / "template.npz", shapedirs=lambda dirs: np.concatenate([dirs, dirs[:, :, -1:]], axis=2))
+    with_names(driver, names)
+    for path in [*driver.glob("flame_param/*.npz"), driver / "canonical_flame_param.npz"]:
+        change_arrays(path, expr=lambda values: np.pad(values, [(0, 0), (0, len(names) - N_EXPRESSION)], constant_values=0.5))
+    assert render_command("--avatar", avatar, "--data", driver, "--out", tmp_path / "out") == 0
+    assert "note: the avatar has no expressions puff" in capsys.readouterr().err
+
+
+def refusal(capsys, *arguments):
+    capsys.readouterr()
+    assert render_command(*arguments) == 2
+    message = capsys.readouterr().err
+    assert "Traceback" not in message
+    assert message.count("\n") == 1
+    return message
+
+
+def test_another_template_without_names_is_refused(tiny_run, other, tmp_path):
+    driver = with_names(shutil.copytree(other, tmp_path / "driver"), [f"expr_{index:03d}" for index in range(N_EXPRESSION)])
+    ended = command("--avatar", tiny_run, "--data", driver, "--out", tmp_path / "out")
+    assert ended.returncode == 2
+    assert "Traceback" not in ended.stderr
+    last = ended.stderr.splitlines()[-1]
+    assert last.startswith(f"error: {driver / 'template.npz'}: ")
+    assert "numbers for names" in last
+    assert not (tmp_path / "out").exists()
+
+
+def test_wrong_options_are_one_line(tiny_run, other, tmp_path, capsys):
+    common = ("--avatar", tiny_run, "--out", tmp_path / "out")
+    assert "--data DIR" in refusal(capsys, *common, "--neutral-frame", 0)
+    assert "from 0 to 5, found 6" in refusal(capsys, *common, "--data", other, "--neutral-frame", 6)
+    assert "found -1" in refusal(capsys, *common, "--data", other, "--neutral-frame", -1)
+    assert "--expression-gain" in refusal(capsys, *common, "--data", other, "--expression-gain", "nan")
+    assert not (tmp_path / "out").exists()

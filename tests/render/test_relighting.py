@@ -1,0 +1,225 @@
+"""``python -m samira_warp.render`` under lights of a user's: maps, pairs, folders, turntables, backgrounds, and materials changed."""
+
+import functools
+import subprocess
+import sys
+
+import imageio_ffmpeg
+import numpy as np
+import pytest
+import torch
+from data.tiny import tiny_template
+from subjects import render_command
+
+from samira_warp.avatar import Avatar, read_frames
+from samira_warp.images import image_size, read_image, write_exr, write_png
+from samira_warp.light import Environment, decode_srgb, encode_srgb
+from samira_warp.light.equirect import equirect_directions
+from samira_warp.render import lights
+
+FRAME = "00004_00"
+
+
+@pytest.fixture(autouse=True)
+def small_environments(monkeypatch):
+    """Environment maps as cubes of 64 texels, as learned lights are: the default's 256 take seconds to filter."""
+    monkeypatch.setattr(Environment, "load", functools.partial(Environment.load, size=64))
+    monkeypatch.setattr(lights, "SHEET_SIZE", 64)
+
+
+@pytest.fixture(scope="module")
+def maps(tmp_path_factory):
+    """A folder of three maps, bright on the right, above and straight ahead of the camera, and a file that is none."""
+    folder = tmp_path_factory.mktemp("maps")
+    directions = equirect_directions(32).numpy()
+    for name, axis in {"right": (1, 0, 0), "above": (0, 1, 0), "ahead": (0, 0, -1)}.items():
+        shares = np.maximum(directions @ np.array(axis, np.float32), 0.0)[..., None] ** 4
+        write_exr(folder / f"{name}.exr", 0.1 + 4.0 * shares * np.array([1.0, 0.8, 0.6], np.float32))
+    (folder / "README.md").write_text("three lights")
+    return folder
+
+
+def render(run, out, *arguments):
+    assert render_command("--avatar", run, "--out", out, "--frames", "0", *arguments) == 0
+    return out
+
+
+def picture(folder, name=FRAME, layer="image"):
+    return read_image(folder / layer / f"{name}.png", channels=3)
+
+
+def background(image):
+    """The upper corners, where no head is."""
+    return np.concatenate([image[:6, :6], image[:6, -6:]])
+
+
+def test_the_learned_light_by_its_files_is_the_learned_light(tiny_run, tmp_path):
+    learned = picture(render(tiny_run, tmp_path / "learned"))
+    folder = tiny_run / "avatar"
+    pair = folder / "light_diffuse.exr", folder / "light_specular.exr"
+    for name, env in {"run": (tiny_run,), "avatar": (folder,), "pair": pair}.items():
+        # the maps are saved texel for texel in 32-bit floats: nothing is lost
+        np.testing.assert_array_equal(picture(render(tiny_run, tmp_path / name, "--env", *env)), learned)
+
+
+def test_any_light_turns(tiny_run, tmp_path, maps):
+    """A map that is bright on the right, turned by a quarter, lights the front or the back; the learned light turns as well."""
+    images = {turn: render(tiny_run, tmp_path / str(turn), "--env", maps / "right.exr", "--rotate", turn) for turn in (-90, 0, 90)}
+    back, side, front = (picture(images[turn]).mean() for turn in (-90, 0, 90))
+    frames = read_frames(tiny_run)
+    baked = Environment.load(maps / "right.exr", rotate=-90.0)
+    with torch.no_grad():
+        expected = Avatar.load(tiny_run).render(frames[0].parameters, frames[0].camera, baked).image
+    # turned when it is looked up or when it is read: maps of 64 texels differ by their interpolation
+    np.testing.assert_allclose(picture(images[-90]), expected.clamp(0, 1).numpy(), atol=0.02)
+    assert len({round(float(value), 3) for value in (back, side, front)}) == 3
+    turned = picture(render(tiny_run, tmp_path / "learned", "--rotate", 90))
+    assert np.abs(turned - picture(render(tiny_run, tmp_path / "unturned"))).max() > 1 / 255
+
+
+def test_auto_exposure_does_not_know_how_bright_the_map_is(tiny_run, tmp_path, maps):
+    bright = 50.0 * read_image(maps / "right.exr", channels=3)
+    write_exr(tmp_path / "bright.exr", bright)
+    images = [
+        picture(render(tiny_run, tmp_path / str(index), "--env", env, "--exposure", "auto"))
+        for index, env in enumerate((maps / "right.exr", tmp_path / "bright.exr"))
+    ]
+    np.testing.assert_allclose(images[0], images[1], atol=1.01 / 255)
+    assert picture(render(tiny_run, tmp_path / "learned", "--exposure", "auto")).shape == (32, 32, 3)
+
+
+def test_an_8_bit_map_lights_when_it_is_asked_for(tiny_run, tmp_path, capsys):
+    write_png(tmp_path / "sky.png", np.full((8, 16, 3), 0.5))
+    render(tiny_run, tmp_path / "out", "--env", tmp_path / "sky.png", "--ldr", "--background", "env")
+    np.testing.assert_allclose(background(picture(tmp_path / "out")), 0.5, atol=1.5 / 255)
+
+
+def test_the_environment_is_behind_the_head_as_bright_and_as_turned_as_its_light(tiny_run, tmp_path, maps):
+    options = ("--env", maps / "right.exr", "--exposure", 0.4, "--background", "env")
+    camera = read_frames(tiny_run)[0].camera
+    for turn in (0, 65, 90):
+        seen = picture(render(tiny_run, tmp_path / str(turn), *options, "--rotate", turn))
+        linear = Environment.load(maps / "right.exr", rotate=turn, exposure=0.4).background(camera)
+        # values are encoded before they are interpolated, in a map whose steps are small here
+        np.testing.assert_allclose(background(seen), background(encode_srgb(linear).clamp(max=1).numpy()), atol=0.02)
+    dark, bright = (background(picture(tmp_path / str(turn))).mean() for turn in (0, 90))
+    assert bright > dark + 0.3
+
+
+def test_a_picture_behind_the_head_keeps_its_proportions(tiny_run, tmp_path):
+    wide = np.zeros((32, 96, 3), np.float32)
+    wide[:, 32:64] = (0.2, 0.6, 1.0)
+    write_png(tmp_path / "wide.png", wide)
+    # floating-point files hold linear values
+    write_exr(tmp_path / "wide.exr", decode_srgb(torch.from_numpy(wide)).numpy())
+    for name in ("wide.png", "wide.exr"):
+        image = picture(render(tiny_run, tmp_path / f"out {name}", "--background", tmp_path / name))
+        # its middle third fills the square frame
+        np.testing.assert_allclose(background(image), np.broadcast_to((0.2, 0.6, 1.0), (12, 6, 3)), atol=1 / 255)
+
+
+def test_a_folder_of_maps_makes_a_labelled_sheet(tiny_run, tmp_path, maps, capsys):
+    render(tiny_run, tmp_path, "--env", maps, "--layers", "image", "irradiance", "--background", "env")
+    assert sorted(path.name for path in tmp_path.rglob("*.*")) == ["contact_sheet.png", "contact_sheet.png"]
+    assert "1 picture" in capsys.readouterr().err
+    sheet = picture(tmp_path, "contact_sheet")
+    # sorted by name: above and ahead, then right in a row of its own
+    assert sheet.shape[0] > 2 * 32
+    gap = 2
+    for index, name in enumerate(("above", "ahead", "right")):
+        alone = picture(render(tiny_run, tmp_path / name, "--env", maps / f"{name}.exr", "--background", "env"))
+        row, column = divmod(index, 2)
+        top, left = gap + row * (32 + 14 + gap), gap + column * (32 + gap)
+        np.testing.assert_allclose(sheet[top : top + 32, left : left + 32], alone, atol=1.01 / 255)
+        label = sheet[top + 32 : top + 32 + 14, left : left + 32]
+        # black letters on white
+        assert label.min() < 0.5
+        assert label.mean() > 0.6
+    assert picture(tmp_path, "contact_sheet", "irradiance").shape == sheet.shape
+
+
+def test_a_folder_with_a_learned_light_is_that_light_whatever_else_is_in_it(tiny_run, tmp_path, maps):
+    folder = tmp_path / "mixed"
+    folder.mkdir()
+    for path in (*(tiny_run / "avatar").glob("light_*.exr"), *maps.glob("*.exr")):
+        (folder / path.name).write_bytes(path.read_bytes())
+    render(tiny_run, tmp_path / "out", "--env", folder)
+    np.testing.assert_array_equal(picture(tmp_path / "out"), picture(render(tiny_run, tmp_path / "learned")))
+
+
+def video_frames(path):
+    return imageio_ffmpeg.count_frames_and_secs(str(path))[0]
+
+
+def test_the_light_goes_round_a_held_frame(tiny_run, tmp_path, maps, capsys):
+    options = ("--env", maps / "right.exr", "--rotate", 30)
+    render(tiny_run, tmp_path / "turn", *options, "--turntable", 0.5, "--fps", 8)
+    assert "4 pictures" in capsys.readouterr().err
+    names = [f"{FRAME}_{index:04d}" for index in range(4)]
+    assert sorted(path.stem for path in (tmp_path / "turn" / "image").iterdir()) == names
+    assert video_frames(tmp_path / "turn" / "image.mp4") == 4
+    for index, name in enumerate(names):
+        alone = render(tiny_run, tmp_path / name, *options[:2], "--rotate", 30 + 90 * index)
+        np.testing.assert_array_equal(picture(tmp_path / "turn", name), picture(alone))
+
+
+def test_the_light_goes_round_a_moving_head(tiny_run, tmp_path, maps):
+    out = tmp_path / "turn"
+    options = ("--env", maps / "right.exr", "--layers", "image", "normal")
+    assert render_command("--avatar", tiny_run, "--out", out, *options, "--turntable", 1, "--fps", 4) == 0
+    assert sorted(path.stem for path in (out / "image").iterdir()) == [FRAME, "00005_00"]
+    assert video_frames(out / "normal.mp4") == 2
+    second = tmp_path / "second"
+    assert render_command("--avatar", tiny_run, "--out", second, *options[:2], "--frames", 1, "--rotate", 90) == 0
+    np.testing.assert_array_equal(picture(out, "00005_00"), picture(second, "00005_00"))
+
+
+def test_materials_change_where_they_are_told_to(tiny_run, tmp_path):
+    layers = ("--layers", "albedo", "roughness", "specular", "alpha")
+    before = render(tiny_run, tmp_path / "before", *layers)
+    inside = picture(before, layer="alpha")[..., 0] > 0.99
+    for layer, options, change in [
+        ("roughness", ("--roughness", "x0.5"), lambda x: 0.5 * x),
+        ("roughness", ("--roughness", "0.9"), lambda x: 0.9 + 0 * x),
+        ("specular", ("--specular", "x2"), lambda x: 2 * x),
+    ]:
+        after = render(tiny_run, tmp_path / "".join(options), *layers, *options)
+        # pictures lie on white where alpha is not quite 1, and are rounded to 256 levels twice
+        np.testing.assert_allclose(picture(after, layer=layer)[inside], change(picture(before, layer=layer)[inside]), atol=0.01 + 2 / 255)
+        for other in {"albedo", "roughness", "specular"} - {layer}:
+            np.testing.assert_array_equal(picture(after, layer=other), picture(before, layer=other))
+
+
+@pytest.mark.parametrize("regions", [("--region", "forehead"), ("--region", "forehead,nose"), ("--region", "forehead", "--region", "nose")])
+def test_a_region_is_painted_and_the_rest_is_not(tiny_run, tmp_path, regions):
+    before = picture(render(tiny_run, tmp_path / "before", "--layers", "albedo"), layer="albedo")
+    after = picture(render(tiny_run, tmp_path / "after", "--layers", "albedo", "--albedo", "#ff0000", *regions), layer="albedo")
+    changed = np.abs(after - before).max(axis=2) > 0.1
+    # the made-up head faces the camera: its forehead is above the middle, its nose in it, its neck below
+    assert changed[6:13].any()
+    assert changed[15:19, 12:20].any() == any("nose" in word for word in regions)
+    assert not changed[24:].any()
+    red = after[changed]
+    assert (red[:, 0] > before[changed][:, 0] - 0.02).all()
+    assert (red[:, 1] < before[changed][:, 1]).all()
+    assert "forehead" in {name.removeprefix("mask_") for name in tiny_template()}
+
+
+def test_materials_change_on_a_sheet_and_a_turntable_as_well(tiny_run, tmp_path, maps):
+    for options in (("--env", maps), ("--turntable", 0.2, "--fps", 10)):
+        plain, edited = tmp_path / f"plain{options[0]}", tmp_path / f"edited{options[0]}"
+        render(tiny_run, plain, *options)
+        render(tiny_run, edited, *options, "--albedo", "x0.3")
+        name = next((plain / "image").iterdir()).stem
+        assert picture(edited, name).mean() < picture(plain, name).mean() - 0.01
+        assert image_size(edited / "image" / f"{name}.png") == image_size(plain / "image" / f"{name}.png")
+
+
+def test_the_command_itself(tiny_run, tmp_path, maps):
+    """A real process, with the sheet's real size."""
+    options = ["--exposure", "auto", "--background", "env", "--albedo", "x1.1", "--region", "lips", "--device", "cpu"]
+    command = [sys.executable, "-m", "samira_warp.render", "--avatar", tiny_run, "--out", tmp_path / "out", "--env", maps, *options]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == ""
+    assert [path.relative_to(tmp_path / "out").as_posix() for path in (tmp_path / "out").rglob("*.*")] == ["image/contact_sheet.png"]
