@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,23 @@ from safetensors import SafetensorError
 from safetensors.torch import save_file
 
 from samira_warp.errors import UserError
+
+
+def cache_folder() -> Path:
+    """Where this project keeps what it can make again: ``SAMIRA_WARP_CACHE``, else its own folder among the user's caches.
+
+    Nothing is made on disk.
+    """
+    chosen = os.environ.get("SAMIRA_WARP_CACHE")
+    if chosen:
+        return Path(chosen)
+    if sys.platform == "win32":
+        caches = Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
+    elif sys.platform == "darwin":
+        caches = Path.home() / "Library" / "Caches"
+    else:
+        caches = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+    return caches / "samira_warp"
 
 
 def replace_folder(target: Path, write: Callable[[Path], None]) -> None:

@@ -48,3 +48,11 @@ def tiny_run(tiny_dataset, tmp_path_factory):
     folder = tmp_path_factory.mktemp("run") / "out"
     assert train_command(*train_arguments(tiny_dataset, folder)) == 0
     return folder
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _own_cache(tmp_path_factory):
+    """Tests keep nothing in the user's cache folder, nor find anything there."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("SAMIRA_WARP_CACHE", str(tmp_path_factory.mktemp("cache")))
+        yield

@@ -21,7 +21,7 @@ class CheckConfig:
     """How to divide it: train or test (both the dataset's own), a fraction, or last:N."""
 
     flame: Path | None = None
-    """FLAME file, for a dataset without a template.npz."""
+    """FLAME's file (.pkl or .npz, with its UV coordinates and masks beside it), or a template.npz, for a dataset without one."""
 
 
 def main(config: CheckConfig) -> None:
@@ -36,7 +36,7 @@ def describe(sequence: Sequence) -> str:
     template = sequence.template
     facts = {
         "folder": sequence.root,
-        "format": "VHAP export",
+        "format": sequence.format,
         "frames": f"{len(frames)} at {len({frame.timestep for frame in frames})} timesteps",
         "split": f"{sequence.split.text}: {len(sequence.train)} train, {len(sequence.test)} test",
         "size": ", ".join(f"{width} x {height}" for width, height in sizes),
@@ -46,7 +46,7 @@ def describe(sequence: Sequence) -> str:
         "masks": f"{sum(frame.mask_path is not None for frame in frames)} of {len(frames)} frames",
         "albedo": f"{sum(frame.albedo_path is not None for frame in frames)} of {len(frames)} frames",
     }
-    return "\n".join(f"{name + ':':<15}{value}" for name, value in facts.items())
+    return "\n".join(f"{name + ':':<15}{value}" for name, value in [*facts.items(), *(("note", note) for note in sequence.notes)])
 
 
 if __name__ == "__main__":

@@ -1,8 +1,21 @@
 """Datasets: what a folder holds, read and checked before anything is trained on it."""
 
 from samira_warp.data.cache import PixelCache
+from samira_warp.data.formats import FORMATS, recognise
 from samira_warp.data.frames import Frame, FrameFiles, Listing, Sequence
 from samira_warp.data.pixels import FramePixels, load_pixels
 from samira_warp.data.sequence import open_listing, open_sequence
 
-__all__ = ["Frame", "FrameFiles", "FramePixels", "Listing", "PixelCache", "Sequence", "load_pixels", "open_listing", "open_sequence"]
+__all__ = [
+    "FORMATS",
+    "Frame",
+    "FrameFiles",
+    "FramePixels",
+    "Listing",
+    "PixelCache",
+    "Sequence",
+    "load_pixels",
+    "open_listing",
+    "open_sequence",
+    "recognise",
+]

@@ -8,7 +8,8 @@ from pathlib import Path
 import torch
 
 from samira_warp.camera import Camera
-from samira_warp.data.split import Split
+from samira_warp.data.split import Split, divide_timesteps
+from samira_warp.errors import UserError
 from samira_warp.head.model import FrameParameters
 from samira_warp.head.template import HeadTemplate
 
@@ -23,7 +24,7 @@ class FrameFiles:
         image_path: The picture, laid on a background of one colour or with an alpha channel.
         mask_path: The head's coverage, None where the dataset has none.
         albedo_path: The estimated albedo as display values, None where the frame has none.
-        parameters_path: The tracked parameters.
+        parameters_path: The file of the tracked parameters, which other frames may share.
         camera: The view at the image file's own size.
     """
 
@@ -49,22 +50,73 @@ class Listing:
 
     Attributes:
         root: The dataset's folder.
+        format: What the folder is, in words.
         split: How the frames were divided.
         frames: All frames, by timestep, then by name.
         train: Indices into ``frames``.
         test: Indices into ``frames``; none is in ``train``.
+        notes: What a user should know of how the folder was read, a sentence each.
     """
 
     root: Path
+    format: str
     split: Split
     frames: tuple[FrameFiles, ...]
     train: tuple[int, ...]
     test: tuple[int, ...]
+    notes: tuple[str, ...]
 
     @property
     def selected(self) -> tuple[int, ...]:
         """The part that the split names: indices into ``frames``."""
         return self.train if self.split.part == "train" else self.test
+
+
+def listing_of(
+    root: Path, split: Split, frames: list[FrameFiles], *, format: str, trains: list[bool] | None, notes: tuple[str, ...] = ()
+) -> Listing:
+    """Order a dataset's frames and divide them.
+
+    Args:
+        root: The dataset's folder.
+        split: How to divide the frames; the dataset's own division of one that has none is the first 70 % of timesteps, as VHAP's.
+        frames: In any order.
+        format: What the folder is, in words.
+        trains: Whether each frame trains by the dataset's own division, None where it has none.
+        notes: What a user should know.
+
+    Raises:
+        UserError: Two frames have one name, or a part is empty.
+    """
+    _check_names(root, frames)
+    if split.kind != "dataset" or trains is None:
+        rule = split
+        if split.kind == "dataset":
+            rule = Split("0.7", "fraction", 0.7, split.part)
+            notes = (*notes, "the dataset has no division of its own: the first 70 % of its timesteps train")
+        train_steps, _ = divide_timesteps(rule, [frame.timestep for frame in frames])
+        trains = [frame.timestep in train_steps for frame in frames]
+    if all(trains) or not any(trains):
+        raise UserError(root, expected="frames that train and frames that test", found=f"{sum(trains)} of {len(trains)} that train")
+    ordered = sorted(zip(frames, trains, strict=True), key=lambda entry: (entry[0].timestep, entry[0].name))
+    return Listing(
+        root=root,
+        format=format,
+        split=split,
+        frames=tuple(frame for frame, _ in ordered),
+        train=tuple(index for index, (_, train) in enumerate(ordered) if train),
+        test=tuple(index for index, (_, train) in enumerate(ordered) if not train),
+        notes=notes,
+    )
+
+
+def _check_names(root: Path, frames: list[FrameFiles]) -> None:
+    """Outputs are named by the image's stem: two frames of one name would overwrite each other."""
+    seen: dict[str, Path] = {}
+    for frame in frames:
+        if frame.name in seen:
+            raise UserError(root, expected="image names that differ", found=f"{seen[frame.name]} and {frame.image_path}")
+        seen[frame.name] = frame.image_path
 
 
 @dataclass(frozen=True, eq=False)

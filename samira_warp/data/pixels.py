@@ -36,8 +36,8 @@ class FramePixels:
 def load_pixels(frame: FrameFiles, *, width: int, height: int) -> FramePixels:
     """Decode a frame, lay it on white in display values and box-resize it.
 
-    Coverage is the mask file, else the image's alpha channel, else one everywhere. An image with an alpha channel is composited by it;
-    one without was composited by the export, and its background is replaced by white (see ``on_white``).
+    Coverage is the mask file, at the image's size, else the image's alpha channel, else one everywhere. An image with an alpha channel is
+    composited by it; one without was composited by the export, and its background is replaced by white (see ``on_white``).
 
     Args:
         frame: The frame.
@@ -48,7 +48,9 @@ def load_pixels(frame: FrameFiles, *, width: int, height: int) -> FramePixels:
         UserError: A file is missing or cannot be decoded.
     """
     colour, alpha = read_rgba(frame.image_path)
-    mask = alpha if frame.mask_path is None else read_image(frame.mask_path, channels=1)[..., 0]
+    mask = alpha
+    if frame.mask_path is not None:
+        mask = resize_box(read_image(frame.mask_path, channels=1)[..., 0], width=colour.shape[1], height=colour.shape[0])
     if alpha is not None:
         colour = composite_on_white(colour, alpha)
     elif mask is not None:

@@ -10,19 +10,23 @@ import math
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 
 from samira_warp.camera import Camera
-from samira_warp.data.frames import FrameFiles, Listing
-from samira_warp.data.split import Split, divide_timesteps
+from samira_warp.data.film import check_picture, check_shape
+from samira_warp.data.frames import FrameFiles, Listing, listing_of
+from samira_warp.data.index import FileIndex
+from samira_warp.data.numbers import check_rotation
+from samira_warp.data.pictures import key_of, pictures_of
+from samira_warp.data.split import Split
 from samira_warp.errors import UserError
-from samira_warp.images import image_size
 
 CANONICAL_FILE = "canonical_flame_param.npz"
 """Its presence is how GaussianAvatars knows the format, and so do we."""
 
 
-def list_vhap(root: Path, split: Split) -> Listing:
+def list_vhap(root: Path, split: Split, index: FileIndex) -> Listing:
     """List a VHAP export's frames and divide them.
 
     The dataset's own split reads transforms_train.json and transforms_test.json (validation views belong to neither part);
@@ -31,63 +35,58 @@ def list_vhap(root: Path, split: Split) -> Listing:
     Args:
         root: The export's folder.
         split: How to divide the frames.
+        index: Remembers the pictures' sizes.
 
     Raises:
         UserError: A file or key is missing, a value has a wrong type or shape, an image's size is not its camera's, or a part is empty.
     """
+    reader = _Reader(root, index)
+    trains: list[bool] | None = None
     if split.kind != "dataset":
-        frames = _read_transforms(root, "transforms.json")
-        train_steps, _ = divide_timesteps(split, [frame.timestep for frame in frames])
-        is_train = [frame.timestep in train_steps for frame in frames]
+        frames = reader.transforms("transforms.json")
     else:
-        train, test = (_read_transforms(root, f"transforms_{part}.json") for part in ("train", "test"))
+        train, test = (reader.transforms(f"transforms_{part}.json") for part in ("train", "test"))
         shared = {frame.name for frame in train} & {frame.name for frame in test}
         if shared:
             raise UserError(root / "transforms_test.json", expected="frames that are not trained on", found=f"{min(shared)} in both")
         frames = train + test
-        is_train = [True] * len(train) + [False] * len(test)
-    _check_names(root, frames)
-    ordered = sorted(zip(frames, is_train, strict=True), key=lambda entry: (entry[0].timestep, entry[0].name))
-    return Listing(
-        root=root,
-        split=split,
-        frames=tuple(frame for frame, _ in ordered),
-        train=tuple(index for index, (_, trains) in enumerate(ordered) if trains),
-        test=tuple(index for index, (_, trains) in enumerate(ordered) if not trains),
-    )
+        trains = [True] * len(train) + [False] * len(test)
+    return listing_of(root, split, frames, format="VHAP export", trains=trains)
 
 
-def _check_size(path: Path, size: tuple[int, int], camera: Camera) -> None:
-    """Raise UserError unless a picture of ``size`` (width, height) is its camera's."""
-    if size != (camera.width, camera.height):
-        raise UserError(path, expected=f"{camera.width} x {camera.height} pixels, the camera's size", found=f"{size[0]} x {size[1]}")
+class _Reader:
+    """One export: what all entries of its lists share."""
 
+    def __init__(self, root: Path, index: FileIndex) -> None:
+        self.root = root
+        self.index = index
+        self.albedo = pictures_of(root / "albedo")
+        self._folders: dict[Path, dict[str, Path]] = {}
 
-def _check_names(root: Path, frames: list[FrameFiles]) -> None:
-    """Outputs are named by the image's stem: two frames of one name would overwrite each other."""
-    seen: dict[str, Path] = {}
-    for frame in frames:
-        if frame.name in seen:
-            raise UserError(root, expected="image names that differ", found=f"{seen[frame.name]} and {frame.image_path}")
-        seen[frame.name] = frame.image_path
+    def transforms(self, name: str) -> list[FrameFiles]:
+        """The frames of one transforms file, each checked."""
+        path = self.root / name
+        if not path.is_file():
+            raise UserError(path, expected="the dataset's list of frames", found="no such file")
+        try:
+            document = json.loads(path.read_text(encoding="utf-8"))
+        except ValueError as fault:
+            raise UserError(path, expected="JSON", found=fault) from fault
+        if not isinstance(document, dict) or not isinstance(document.get("frames"), list):
+            raise UserError(path, expected="an object with a list 'frames'", found="none")
+        if not document["frames"]:
+            raise UserError(path, expected="at least one frame", found="an empty list")
+        entries = (_with_shared_values(path, number, frame, document) for number, frame in enumerate(document["frames"]))
+        return [_Entry(path, number, values).files(self) for number, values in enumerate(entries)]
 
-
-def _read_transforms(root: Path, name: str) -> list[FrameFiles]:
-    """The frames of one transforms file, each checked."""
-    path = root / name
-    if not path.is_file():
-        raise UserError(path, expected="the dataset's list of frames", found="no such file")
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as fault:
-        raise UserError(path, expected="JSON", found=fault) from fault
-    if not isinstance(document, dict) or not isinstance(document.get("frames"), list):
-        raise UserError(path, expected="an object with a list 'frames'", found="none")
-    if not document["frames"]:
-        raise UserError(path, expected="at least one frame", found="an empty list")
-    return [
-        _Entry(path, index, _with_shared_values(path, index, frame, document)).files(root) for index, frame in enumerate(document["frames"])
-    ]
+    def picture(self, path: Path) -> Path | None:
+        """The picture at a path, or else the one beside it whose name differs by its suffix or the spelling of an accent."""
+        if path.is_file():
+            return path
+        if path.parent not in self._folders:
+            self._folders[path.parent] = pictures_of(path.parent)
+        folder = self._folders[path.parent]
+        return folder.get(key_of(path.stem)) or folder.get(key_of(path.name))
 
 
 def _with_shared_values(path: Path, index: int, frame: object, document: dict[str, Any]) -> dict[str, Any]:
@@ -108,26 +107,23 @@ class _Entry:
         self.index = index
         self.values = values
 
-    def files(self, root: Path) -> FrameFiles:
+    def files(self, reader: _Reader) -> FrameFiles:
         """The entry's files, all there and of the camera's size, and its camera."""
-        image_path = self._file(root, "file_path")
-        mask_path = self._file(root, "fg_mask_path") if self.values.get("fg_mask_path") else None
-        albedo_path = root / "albedo" / f"{image_path.stem}.png"
+        image_path = self._picture(reader, "file_path")
         camera = self.camera()
         frame = FrameFiles(
             name=image_path.stem,
             timestep=self._whole("timestep_index"),
             image_path=image_path,
-            mask_path=mask_path,
-            albedo_path=albedo_path if albedo_path.is_file() else None,
-            parameters_path=self._file(root, "flame_param_path"),
+            mask_path=self._picture(reader, "fg_mask_path") if self.values.get("fg_mask_path") else None,
+            albedo_path=reader.albedo.get(key_of(image_path.stem)),
+            parameters_path=self._file(reader.root, "flame_param_path"),
             camera=camera,
         )
-        for picture in (frame.image_path, frame.mask_path, frame.albedo_path):
-            if picture is not None and (size := image_size(picture)) != (camera.width, camera.height):
-                raise UserError(
-                    picture, expected=f"{camera.width} x {camera.height} pixels as {self.path.name} says", found="{} x {}".format(*size)
-                )
+        check_picture(frame.image_path, camera, reader.index, said_by=self.path.name)
+        for picture in (frame.mask_path, frame.albedo_path):
+            if picture is not None:
+                check_shape(picture, camera, reader.index, said_by=self.path.name)
         return frame
 
     def camera(self) -> Camera:
@@ -149,19 +145,16 @@ class _Entry:
         """(4, 4) float32: the file's OpenGL camera-to-world with y and z turned to OpenCV's axes, then inverted."""
         values = self._value("transform_matrix")
         try:
-            camera_to_world = torch.tensor(values, dtype=torch.float64)
-        except (TypeError, ValueError, RuntimeError) as fault:
+            camera_to_world = np.array(values if isinstance(values, list) else "none", dtype=np.float64)
+        except (TypeError, ValueError) as fault:
             raise self._fault("a 4 x 4 matrix of numbers as transform_matrix", "something else") from fault
         if camera_to_world.shape != (4, 4):
-            raise self._fault("transform_matrix of shape (4, 4)", tuple(camera_to_world.shape))
-        if not camera_to_world.isfinite().all():
+            raise self._fault("transform_matrix of shape (4, 4)", camera_to_world.shape)
+        if not np.isfinite(camera_to_world).all():
             raise self._fault("finite numbers in transform_matrix", camera_to_world.tolist())
-        rotation = camera_to_world[:3, :3]
-        # 1e-3 lets pass matrices that were written with four decimals
-        if not torch.allclose(rotation.T @ rotation, torch.eye(3, dtype=torch.float64), atol=1e-3) or torch.det(rotation) < 0:
-            raise self._fault("a rotation in transform_matrix", rotation.tolist())
+        check_rotation(f"{self.path}: frames[{self.index}]: transform_matrix", camera_to_world[:3, :3])
         camera_to_world[:, 1:3] *= -1.0
-        return torch.linalg.inv(camera_to_world).float()
+        return torch.from_numpy(np.linalg.inv(camera_to_world).astype(np.float32))
 
     def _file(self, root: Path, key: str) -> Path:
         value = self._value(key)
@@ -171,6 +164,11 @@ class _Entry:
         if not path.is_file():
             raise UserError(path, expected=f"the file that {self.path.name} names as {key} of frames[{self.index}]", found="no such file")
         return path
+
+    def _picture(self, reader: _Reader, key: str) -> Path:
+        value = self.values.get(key)
+        picture = reader.picture(reader.root / value) if isinstance(value, str) else None
+        return picture or self._file(reader.root, key)
 
     def _whole(self, key: str, *, above: float = -math.inf) -> int:
         value = self._number(key, above=above)

@@ -10,15 +10,12 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
+from samira_warp.data.index import FileIndex
 from samira_warp.errors import UserError
+from samira_warp.head.flame import FLAME_VERTICES
 from samira_warp.head.model import FrameParameters
+from samira_warp.head.teeth import TEETH_VERTICES
 from samira_warp.head.template import HeadTemplate
-
-FLAME_VERTICES = 5023
-"""Vertices of FLAME."""
-
-FLAME_TEETH_VERTICES = 120
-"""What VHAP appends to FLAME's vertices; a static offset may come with or without them."""
 
 
 class TrackedHead(NamedTuple):
@@ -29,21 +26,28 @@ class TrackedHead(NamedTuple):
     """(n_shape,) float32 identity coefficients."""
 
 
-def read_tracked_head(path: Path, template: HeadTemplate) -> TrackedHead:
+def read_tracked_head(path: Path, template: HeadTemplate, index: FileIndex | None = None) -> TrackedHead:
     """Read ``flame_param/*.npz`` or ``canonical_flame_param.npz``.
 
     Args:
         path: The file.
         template: The head model, which gives the numbers of vertices and coefficients.
+        index: Remembers what the file held.
 
     Raises:
         UserError: The file or a key is missing, an array's shape does not fit the template, or a number is not finite.
     """
-    arrays = _load(path)
+    arrays = load_parameters(path) if index is None else index.arrays(path, load_parameters)
     vertices = len(template.v_template)
 
     def vector(key: str, *shape: int) -> torch.Tensor:
-        return torch.from_numpy(_checked(path, arrays, key, shape)).reshape(shape[-1])
+        return torch.from_numpy(checked(path, arrays, key, shape)).reshape(shape[-1])
+
+    def coefficients(key: str, *shape: int) -> torch.Tensor:
+        """As many as the template's, or the first so many of a template whose shapes have no names."""
+        found = arrays[key].shape[-1] if key in arrays and arrays[key].ndim else 0
+        fewer = not template.names_expressions and 0 < found < shape[-1]
+        return torch.nn.functional.pad(vector(key, *shape[:-1], found if fewer else shape[-1]), (0, shape[-1] - found if fewer else 0))
 
     parameters = FrameParameters(
         translation=vector("translation", 1, 3),
@@ -51,14 +55,19 @@ def read_tracked_head(path: Path, template: HeadTemplate) -> TrackedHead:
         neck=vector("neck_pose", 1, 3),
         jaw=vector("jaw_pose", 1, 3),
         eyes=vector("eyes_pose", 1, 6),
-        expression=vector("expr", 1, template.n_expression),
+        expression=coefficients("expr", 1, template.n_expression),
         static_offset=_offset(path, arrays, "static_offset", vertices),
         dynamic_offset=_offset(path, arrays, "dynamic_offset", vertices),
     )
-    return TrackedHead(parameters, vector("shape", template.n_shape))
+    return TrackedHead(parameters, coefficients("shape", template.n_shape))
 
 
-def _load(path: Path) -> dict[str, np.ndarray]:
+def load_parameters(path: Path) -> dict[str, np.ndarray]:
+    """The plain arrays of an .npz of tracked parameters.
+
+    Raises:
+        UserError: The file is missing or broken, or holds pickles.
+    """
     if not path.is_file():
         raise UserError(path, expected="tracked parameters", found="no such file")
     try:
@@ -68,8 +77,12 @@ def _load(path: Path) -> dict[str, np.ndarray]:
         raise UserError(path, expected="an .npz of plain arrays", found=fault) from fault
 
 
-def _checked(path: Path, arrays: dict[str, np.ndarray], key: str, shape: tuple[int, ...]) -> np.ndarray:
-    """The array under ``key`` as float32, of the shape that the template asks for and finite."""
+def checked(path: Path, arrays: dict[str, np.ndarray], key: str, shape: tuple[int, ...]) -> np.ndarray:
+    """The array under ``key`` as float32, of the shape that the template asks for and finite.
+
+    Raises:
+        UserError: It is not.
+    """
     if key not in arrays:
         raise UserError(path, expected=f"the key {key}", found=f"only {', '.join(sorted(arrays)) or 'an empty archive'}")
     array = arrays[key]
@@ -81,13 +94,17 @@ def _checked(path: Path, arrays: dict[str, np.ndarray], key: str, shape: tuple[i
 
 
 def _offset(path: Path, arrays: dict[str, np.ndarray], key: str, vertices: int) -> torch.Tensor | None:
-    """(V, 3) metres, or None where the file has none; FLAME's teeth are added as zeros or left out as the template has it."""
-    if key not in arrays:
-        return None
+    """(V, 3) metres, or None where the file has none."""
+    return None if key not in arrays else torch.from_numpy(offsets(path, arrays, key, 1, vertices)[0])
+
+
+def offsets(path: Path, arrays: dict[str, np.ndarray], key: str, count: int, vertices: int) -> np.ndarray:
+    """(count, V, 3) metres; FLAME's teeth are added as zeros or left out as the template has it.
+
+    Raises:
+        UserError: The array has another shape or is not finite.
+    """
     rows = arrays[key].shape[1] if arrays[key].ndim == 3 else vertices
-    with_teeth = FLAME_VERTICES + FLAME_TEETH_VERTICES
-    differ_by_teeth = {rows, vertices} == {FLAME_VERTICES, with_teeth}
-    offset = _checked(path, arrays, key, (1, rows if differ_by_teeth else vertices, 3))[0]
-    if differ_by_teeth:
-        offset = np.concatenate([offset[:FLAME_VERTICES], np.zeros((vertices - FLAME_VERTICES, 3), np.float32)])
-    return torch.from_numpy(offset)
+    differ_by_teeth = {rows, vertices} == {FLAME_VERTICES, FLAME_VERTICES + TEETH_VERTICES}
+    found = checked(path, arrays, key, (count, rows if differ_by_teeth else vertices, 3))
+    return np.pad(found[:, :FLAME_VERTICES], ((0, 0), (0, vertices - FLAME_VERTICES), (0, 0))) if differ_by_teeth else found

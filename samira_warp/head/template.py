@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import zipfile
 import zlib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -54,6 +55,11 @@ class HeadTemplate:
         """E, how many of the linear shapes are expression."""
         return self.shapedirs.shape[2] - self.n_shape
 
+    @property
+    def names_expressions(self) -> bool:
+        """Whether expressions have names of their own, not the numbers that a file without names gets."""
+        return self.expression_names[:1] != (_unnamed(0),)
+
     @cached_property
     def hash(self) -> str:
         """SHA-256 of the content in hexadecimal: equal for equal heads, whatever the file was like."""
@@ -75,7 +81,21 @@ def read_template(path: str | Path) -> HeadTemplate:
         UserError: The file is missing, is no npz, or a key is missing or has a wrong shape, an index out of range or a value that is
             not finite; the message names the file, the key, what was expected and what was found.
     """
-    reader = _Reader(Path(path))
+    path = Path(path)
+    return template_of(path, load_arrays(path))
+
+
+def template_of(path: Path, arrays: Mapping[str, np.ndarray]) -> HeadTemplate:
+    """Check a template's arrays and keep them.
+
+    Args:
+        path: Where they were read, for what is said about them.
+        arrays: As `read_template` says that a file holds them.
+
+    Raises:
+        UserError: As in read_template.
+    """
+    reader = _Reader(path, arrays)
     v_template = reader.numbers("v_template", (None, 3))
     vertices = len(v_template)
     reader.expect("v_template", vertices > 0, "at least one vertex", "none")
@@ -112,6 +132,10 @@ def save_template(template: HeadTemplate, path: str | Path) -> None:
         np.savez_compressed(file, **_to_arrays(template))
 
 
+def _unnamed(index: int) -> str:
+    return f"expression_{index:03d}"
+
+
 def _to_arrays(template: HeadTemplate) -> dict[str, np.ndarray]:
     return {
         "v_template": template.v_template,
@@ -129,24 +153,34 @@ def _to_arrays(template: HeadTemplate) -> dict[str, np.ndarray]:
     }
 
 
-class _Reader:
-    """Arrays of one npz file, each checked as it is taken; every complaint names the file and the key."""
+def load_arrays(path: Path) -> dict[str, np.ndarray]:
+    """The arrays of an npz file, none of them unpickled.
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        if path.suffix.lower() in {".pkl", ".pickle"}:
-            raise UserError(path, expected="an npz file with FLAME's keys", found="a pickle, which may run code when it is read")
-        if not path.is_file():
-            raise UserError(path, expected="an npz file with FLAME's keys", found="no such file")
-        self.arrays: dict[str, np.ndarray] = {}
-        place = f"{path}"
-        try:
-            with np.load(path, allow_pickle=False) as archive:
-                for key in archive.files:
-                    place = f"{path}: {key}"
-                    self.arrays[key] = archive[key]
-        except (ValueError, TypeError, AttributeError, OSError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-            raise UserError(place, expected="an npz file of plain arrays", found=f"unreadable content ({error})") from error
+    Raises:
+        UserError: The file is missing, is a pickle, or an array in it cannot be read.
+    """
+    if path.suffix.lower() in {".pkl", ".pickle"}:
+        raise UserError(path, expected="an npz file with FLAME's keys", found="a pickle, which may run code when it is read")
+    if not path.is_file():
+        raise UserError(path, expected="an npz file with FLAME's keys", found="no such file")
+    arrays: dict[str, np.ndarray] = {}
+    place = f"{path}"
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            for key in archive.files:
+                place = f"{path}: {key}"
+                arrays[key] = archive[key]
+    except (ValueError, TypeError, AttributeError, OSError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        raise UserError(place, expected="an npz file of plain arrays", found=f"unreadable content ({error})") from error
+    return arrays
+
+
+@dataclass(frozen=True)
+class _Reader:
+    """Arrays of one head, each checked as it is taken; every complaint names the file and the key."""
+
+    path: Path
+    arrays: Mapping[str, np.ndarray]
 
     def expect(self, key: str, holds: bool | np.bool_, expected: str, found: str) -> None:
         if not holds:
@@ -187,7 +221,7 @@ class _Reader:
 
     def names(self, key: str, count: int) -> tuple[str, ...]:
         if key not in self.arrays:
-            return tuple(f"expression_{index:03d}" for index in range(count))
+            return tuple(map(_unnamed, range(count)))
         array = self.take(key, (count,))
         self.expect(key, count == 0 or array.dtype.kind == "U", "text", f"{array.dtype}")
         return tuple(str(name) for name in array)

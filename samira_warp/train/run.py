@@ -181,6 +181,8 @@ def _perceptual(config: TrainConfig, size: tuple[int, int]) -> Lpips | str:
 def _announce(sequence: Sequence, encoder: str, perceptual: Lpips | str, config: TrainConfig) -> None:
     """Say what will be trained, and which optional parts are missing and why."""
     print(f"{sequence.root.name}: {len(sequence.train)} training and {len(sequence.test)} test frames on {config.device}", file=sys.stderr)
+    for note in sequence.notes:
+        print(note, file=sys.stderr)
     print(f"image encoder: {encoder}", file=sys.stderr)
     if isinstance(perceptual, str):
         print(f"no LPIPS term: {perceptual}", file=sys.stderr)

@@ -1,6 +1,8 @@
 """Ways of breaking a copy of a dataset, for the tests of what is said about it."""
 
+import contextlib
 import json
+import resource
 
 import numpy as np
 
@@ -33,6 +35,17 @@ def cut(path, *, end=6):
 def widen(path):
     """Make an image twice as wide."""
     write_png(path, np.repeat(read_image(path, channels=3), 2, axis=1))
+
+
+@contextlib.contextmanager
+def file_size_limit(size):
+    """Writing beyond ``size`` bytes of a file fails, as it does where a disk is full."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 def with_value(value):

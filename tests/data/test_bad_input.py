@@ -117,9 +117,9 @@ LISTS = {
     "a matrix in words": (LIST, entry(transform_matrix="identity"), "4 x 4 matrix"),
     "a null matrix": (LIST, entry(transform_matrix=None), "4 x 4 matrix"),
     "NaN in a matrix": (LIST, entry(transform_matrix=matrix_with(float("nan"))), "finite numbers in transform_matrix"),
-    "a skewed camera": (LIST, entry(transform_matrix=skewed()), "a rotation in transform_matrix"),
-    "a scaled camera": (LIST, entry(transform_matrix=scaled()), "a rotation in transform_matrix"),
-    "a mirrored camera": (LIST, entry(transform_matrix=mirrored()), "a rotation in transform_matrix"),
+    "a skewed camera": (LIST, entry(transform_matrix=skewed()), "transform_matrix: expected a rotation"),
+    "a scaled camera": (LIST, entry(transform_matrix=scaled()), "transform_matrix: expected a rotation"),
+    "a mirrored camera": (LIST, entry(transform_matrix=mirrored()), "transform_matrix: expected a rotation"),
 }
 FIELD_OF_VIEW = {"zero": 0.0, "a half turn": 3.1416, "NaN": float("nan"), "words": "wide"}
 PICTURES = {
@@ -129,7 +129,7 @@ PICTURES = {
     "a wider mask": ("fg_masks/00001_00.png", widen, "found 64 x 32"),
     "a wider albedo": ("albedo/00001_00.png", widen, "found 64 x 32"),
     "a wider test image": ("images/00005_00.png", widen, "32 x 32 pixels as transforms_test.json says, found 64 x 32"),
-    "a smaller mask": ("fg_masks/00002_00.png", lambda path: write_png(path, np.ones((16, 16))), "found 16 x 16"),
+    "a flat mask": ("fg_masks/00002_00.png", lambda path: write_png(path, np.ones((16, 24))), "found 24 x 16"),
     "an empty image": ("images/00001_00.png", lambda path: path.write_bytes(b""), "PNG"),
     "an image that is text": ("images/00001_00.png", text("hello"), "PNG"),
     "a mask that is text": ("fg_masks/00001_00.png", text("hello"), "PNG"),
@@ -226,8 +226,19 @@ def test_a_dataset_that_is_a_file(tmp_path):
 def test_a_folder_of_another_format_says_what_was_looked_for(tmp_path):
     (tmp_path / "transforms.json").write_text("{}")
     message = refused(tmp_path)
-    assert str(tmp_path / CANONICAL) in message
-    assert "VHAP" in message
+    assert f"{tmp_path}: expected a dataset" in message
+    for mark in (
+        f"{CANONICAL} (VHAP export)",
+        "tracked_params.json",
+        "flame_params.json",
+        "checkpoint/*.frame",
+        "tracked_flame_params*.npz",
+    ):
+        assert mark in message
+
+
+def test_a_dataset_within_the_folder_is_pointed_at(tiny_dataset):
+    assert f"the folder {tiny_dataset.name} in it is a dataset" in refused(tiny_dataset.parent)
 
 
 def test_no_template_asks_for_one(dataset):

@@ -5,9 +5,11 @@ import shutil
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 from data.damage import change_arrays, change_json, widen, with_value
-from data.tiny import make_tiny_dataset
+from data.layouts import make_film_for, write_layout
+from data.tiny import make_tiny_dataset, tiny_template
 
 from samira_warp.check.__main__ import CheckConfig, main
 from samira_warp.cli import run
@@ -44,6 +46,14 @@ def test_what_a_dataset_holds(tiny_dataset, capsys):
         "masks": "6 of 6 frames",
         "albedo": "4 of 6 frames",
     }
+
+
+def test_what_was_done_about_a_folder_is_said(tmp_path, capsys):
+    root = write_layout("IMavatar", make_film_for("IMavatar"), tmp_path / "subject")
+    np.savez(root / "template.npz", **tiny_template())
+    said = facts(capsys, "--data", root)
+    assert said["format"] == "IMavatar's flame_params.json"
+    assert said["note"] == "the dataset has no division of its own: the first 70 % of its timesteps train"
 
 
 def test_another_split(tiny_dataset, capsys):

@@ -12,8 +12,10 @@ from data.damage import change_arrays, change_json
 from data.tiny import N_SHAPE, make_tiny_dataset
 
 from samira_warp.data import open_listing, open_sequence
-from samira_warp.data.vhap_parameters import FLAME_TEETH_VERTICES, FLAME_VERTICES, read_tracked_head
+from samira_warp.data.vhap_parameters import read_tracked_head
 from samira_warp.errors import UserError
+from samira_warp.head.flame import FLAME_VERTICES
+from samira_warp.head.teeth import TEETH_VERTICES
 
 PARTS = ("transforms.json", "transforms_train.json", "transforms_test.json")
 
@@ -243,7 +245,7 @@ def test_the_template_may_come_from_elsewhere(dataset, tmp_path):
     assert open_sequence(dataset, flame=tmp_path / "flame.npz").template_path == tmp_path / "flame.npz"
 
 
-WITH_TEETH = FLAME_VERTICES + FLAME_TEETH_VERTICES
+WITH_TEETH = FLAME_VERTICES + TEETH_VERTICES
 
 
 @pytest.mark.parametrize("vertices", [FLAME_VERTICES, WITH_TEETH])
@@ -252,7 +254,7 @@ def test_flames_teeth_are_added_or_left_out(dataset, vertices, rows):
     path = dataset / "canonical_flame_param.npz"
     offset = np.random.default_rng(0).normal(size=(1, rows, 3)).astype(np.float32)
     change_arrays(path, static_offset=offset)
-    head = read_tracked_head(path, SimpleNamespace(v_template=np.zeros((vertices, 3)), n_expression=4, n_shape=2))
+    head = read_tracked_head(path, SimpleNamespace(v_template=np.zeros((vertices, 3)), n_expression=4, n_shape=2, names_expressions=True))
     ours = head.parameters.static_offset.numpy()
     assert ours.shape == (vertices, 3)
     common = min(rows, vertices)
@@ -265,7 +267,9 @@ def test_an_offset_of_any_other_count_is_refused(dataset, rows):
     path = dataset / "canonical_flame_param.npz"
     change_arrays(path, static_offset=np.zeros((1, rows, 3), np.float32))
     with pytest.raises(UserError, match=rf"static_offset: expected .*{FLAME_VERTICES}.* found .*{rows}"):
-        read_tracked_head(path, SimpleNamespace(v_template=np.zeros((FLAME_VERTICES, 3)), n_expression=4, n_shape=2))
+        read_tracked_head(
+            path, SimpleNamespace(v_template=np.zeros((FLAME_VERTICES, 3)), n_expression=4, n_shape=2, names_expressions=True)
+        )
 
 
 @pytest.mark.subject

@@ -1,0 +1,73 @@
+"""IMavatar's datasets, which PointAvatar, FLARE and SplattingAvatar read as well.
+
+    flame_params.json   intrinsics [fx, fy, cx, cy], shape_params, frames [file_path "./image/1", world_mat (3 x 4), expression, pose (15)]
+    image/, mask/       pictures 1.png, 2.png, ...
+
+The head is four times as large as in metres, the camera looks along -z, and fx is negative.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from samira_warp.data.deca_json import intrinsics_of, pose_in_metres, pose_parts
+from samira_warp.data.film import Film, list_film
+from samira_warp.data.index import FileIndex
+from samira_warp.data.numbers import numbers, stacked
+from samira_warp.data.pictures import stem_of
+from samira_warp.data.split import Split
+from samira_warp.data.track import Reading, Track, heads_of
+from samira_warp.errors import UserError
+from samira_warp.files import read_json
+
+PARAMETERS = "flame_params.json"
+"""What marks the format."""
+
+SCALE = 4.0
+"""Size of the head, in metres."""
+
+PIXELS_OF = 512
+"""Early files give the intrinsics in pixels of pictures this large."""
+
+
+def open_imavatar(root: Path, split: Split, index: FileIndex) -> Reading:
+    """Open one sequence of IMavatar's.
+
+    Raises:
+        UserError: A key is missing, a value has a wrong shape, or no picture belongs to a frame.
+    """
+    path = root / PARAMETERS
+    document = read_json(path)
+    frames = document.get("frames")
+    if not isinstance(frames, list) or not frames:
+        raise UserError(path, expected="a list 'frames' of tracked frames", found="none")
+    names, rows = [], []
+    for number, frame in enumerate(frames):
+        place = f"{path}: frames[{number}]"
+        if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str):
+            raise UserError(place, expected="an object with a file_path", found=type(frame).__name__)
+        names.append(stem_of(frame["file_path"]))
+        rows.append(
+            {
+                "expression": numbers(f"{place}: expression", frame.get("expression")),
+                **pose_parts(f"{place}: pose", frame.get("pose")),
+                "world_to_camera": pose_in_metres(f"{place}: world_mat", frame.get("world_mat"), scale=SCALE),
+            }
+        )
+    shape = numbers(f"{path}: shape_params", document.get("shape_params"))
+    track = Track(path=path, shape=shape, translation=np.zeros((len(rows), 3)), **stacked(path, rows))
+    film = Film(
+        root=root,
+        format=f"IMavatar's {PARAMETERS}",
+        image_folders=("image", "images"),
+        mask_folders=("mask", "masks", "fg_masks"),
+        names=names,
+        paths=[path] * len(rows),
+        world_to_camera=track.world_to_camera,
+        intrinsics=intrinsics_of(f"{path}: intrinsics", document.get("intrinsics"), pixels_of=PIXELS_OF),
+    )
+    listed = list_film(film, split, index)
+    track = track.taken(listed.numbers)
+    return Reading(listed.listing, lambda template: heads_of(track, template, listed.pose))
