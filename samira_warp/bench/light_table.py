@@ -18,7 +18,7 @@ from samira_warp.light.environment import Environment
 from samira_warp.light.shading import shade
 
 SPHERE_ROUGHNESS = (0.1, 0.25, 0.35, 0.5, 0.75, 1.0)
-"""Roughness of the spheres; 0.25 and its multiples are mips of their own, others are blends of two."""
+"""Roughness of the spheres: 0.1 and 0.35 are blends of two mips, the others are mips of their own."""
 
 POINTS = 100
 """Shaded points of each object."""

@@ -1,0 +1,72 @@
+"""Options of the prepare verb."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+from tyro.conf import Positional
+
+from samira_warp.devices import DeviceName
+from samira_warp.errors import UserError
+from samira_warp.prepare.crop import Crop
+
+
+@dataclass(frozen=True)
+class PrepareConfig:
+    """Make a dataset of a video of one head: frames, head crop, mattes, tracking by VHAP, pseudo-albedo.
+
+    Run the same command again after an interrupt, or after installing what was missing: a stage whose output is there is skipped, one that
+    was begun goes on, and all that follow a stage with other inputs are done anew. OUT/dataset is what train reads.
+    """
+
+    video: Positional[Path]
+    """Video file of one person before a camera that does not move."""
+    out: Path
+    """Folder of everything that is made."""
+    size: int = 512
+    """Side of the square frames, pixels; smaller where the crop is."""
+    fps: float | None = None
+    """Frames to take of a second; default all of them."""
+    crop: str | None = None
+    """Square of the video to keep, X,Y,SIDE in pixels from its upper left; default what Robust Video Matting takes for the head."""
+    mattes: Path | None = None
+    """Folder of mattes made by another program, named as OUT/film/images; default Robust Video Matting's."""
+    vhap: Path | None = None
+    """Folder of VHAP (a clone of github.com/ShenhanQian/VHAP with FLAME's files in its asset/flame); default where its Python has it."""
+    vhap_python: str = "conda run --no-capture-output -n VHAP python"
+    """How to call the Python of VHAP's environment."""
+    albedo: Path | None = None
+    """Folder of albedo images by any intrinsic method, named as OUT/dataset/images or OUT/film/images; some may be missing."""
+    device: DeviceName = "auto"
+    """Where mattes are computed."""
+
+    def check(self) -> None:
+        """Raise UserError unless every number and folder can be used."""
+        ranges = {
+            "size": (self.size >= 16, "at least 16 pixels"),
+            "fps": (self.fps is None or 0.0 < self.fps < math.inf, "a positive number of frames"),
+        }
+        for name, (holds, expected) in ranges.items():
+            if not holds:
+                raise UserError(f"--{name}", expected=expected, found=getattr(self, name))
+        for name in ("mattes", "albedo"):
+            folder = getattr(self, name)
+            if folder is not None and not folder.is_dir():
+                raise UserError(f"--{name} {folder}", expected="a folder of pictures", found="none there")
+
+
+def parse_crop(text: str, *, width: int, height: int) -> Crop:
+    """Read X,Y,SIDE, a square of whole pixels within a picture.
+
+    Raises:
+        UserError: It is not of that form, or reaches beyond the picture.
+    """
+    try:
+        x, y, side = (int(part) for part in text.split(","))
+    except ValueError:
+        raise UserError("--crop", expected="X,Y,SIDE, three whole numbers", found=repr(text)) from None
+    if min(x, y) < 0 or side < 1 or x + side > width or y + side > height:
+        raise UserError("--crop", expected=f"a square within the video's {width} x {height} pixels", found=text)
+    return Crop(x, y, side)

@@ -1,0 +1,102 @@
+"""Which stages of a preparation are done, from what: one small file a stage, written when its output is whole."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from samira_warp.errors import UserError
+from samira_warp.files import read_json, replace_file
+
+ORDER = ("crop", "frames", "mattes", "tracking", "dataset", "albedo")
+"""Each stage follows from those before it."""
+
+MARKERS = "stages"
+"""Folder of the files."""
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One stage in one folder.
+
+    Attributes:
+        root: The folder of the preparation.
+        name: One of ORDER.
+        inputs: What it is made from, as JSON values: equal inputs give equal output.
+    """
+
+    root: Path
+    name: str
+    inputs: dict[str, Any]
+
+    @property
+    def marker(self) -> Path:
+        """The file that says how far the stage is."""
+        return self.root / MARKERS / f"{self.name}.json"
+
+    def done(self, *outputs: Path) -> dict[str, Any] | None:
+        """What the stage found, if it was finished with these inputs and the outputs are still there."""
+        record = self._record()
+        whole = record.get("inputs") == self.inputs and all(output.exists() for output in outputs)
+        return record.get("result") if whole else None
+
+    def finished(self) -> dict[str, Any]:
+        """The inputs that the stage was last finished with, whatever they were; empty if it never was."""
+        record = self._record()
+        return record["inputs"] if record.get("result") is not None and isinstance(record.get("inputs"), dict) else {}
+
+    def begin(self, *outputs: Path) -> None:
+        """Go on with what was begun with these inputs, or clear the outputs for a new start; later stages have to follow.
+
+        Args:
+            outputs: Files and folders of this stage alone.
+        """
+        for later in ORDER[ORDER.index(self.name) + 1 :]:
+            (self.root / MARKERS / f"{later}.json").unlink(missing_ok=True)
+        if self._record().get("inputs") != self.inputs:
+            self.marker.unlink(missing_ok=True)
+            for output in outputs:
+                if output.is_dir():
+                    shutil.rmtree(output)
+                output.unlink(missing_ok=True)
+        self._write(None)
+
+    def finish(self, result: dict[str, Any]) -> dict[str, Any]:
+        """Say that the output is whole, and what was found."""
+        self._write(result)
+        return result
+
+    def key(self) -> str:
+        """Digest of what the stage was made from and what it found: an input of the stages that follow."""
+        return hashlib.sha256(json.dumps([self.inputs, self.done()], sort_keys=True).encode()).hexdigest()[:16]
+
+    def _record(self) -> dict[str, Any]:
+        return read_json(self.marker) if self.marker.is_file() else {}
+
+    def _write(self, result: dict[str, Any] | None) -> None:
+        self.marker.parent.mkdir(parents=True, exist_ok=True)
+        replace_file(self.marker, json.dumps({"inputs": self.inputs, "result": result}, indent=1))
+
+
+def check_root(root: Path, outputs: tuple[str, ...]) -> None:
+    """Raise UserError if a folder holds, under names of ours, what no preparation has made."""
+    if root.exists() and not root.is_dir():
+        raise UserError(root, expected="a folder", found="a file")
+    foreign = [name for name in outputs if (root / name).exists()]
+    if foreign and not (root / MARKERS).is_dir():
+        raise UserError(root, expected="a new folder, or one that prepare has made", found=f"{foreign[0]} of another origin in it")
+
+
+def file_identity(path: Path) -> list[str | int]:
+    """What tells a file from another, or from itself after a change, wherever it is moved: its name, size and time."""
+    facts = path.stat()
+    return [path.name, facts.st_size, facts.st_mtime_ns]
+
+
+def folder_identity(pictures: dict[str, Path]) -> str:
+    """Digest of the identities of a folder's pictures."""
+    return hashlib.sha256(json.dumps([file_identity(path) for _, path in sorted(pictures.items())]).encode()).hexdigest()[:16]

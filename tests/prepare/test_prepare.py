@@ -1,0 +1,369 @@
+"""The prepare verb from a video to a dataset, with stand-ins for the programs that it calls."""
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+from data.damage import file_size_limit
+from stand_ins import HEIGHT, LEFT, TOP, WIDTH, make_hub, vhap_options
+from subjects import train_arguments, train_command
+
+from samira_warp.cli import run
+from samira_warp.data import load_pixels, open_listing, open_sequence
+from samira_warp.images import read_image, write_png
+from samira_warp.prepare import frames, matting, tracking
+from samira_warp.prepare.__main__ import main
+from samira_warp.prepare.config import PrepareConfig
+
+CROP = ("--crop", f"{LEFT},{TOP},32")
+
+
+class Green:
+    """The network of the stand-in without its memory: green is behind."""
+
+    def __init__(self):
+        self.asked = 0
+
+    def __call__(self, picture, state):
+        self.asked += 1
+        red, green, blue = np.moveaxis(picture.astype(np.float32) / 255.0, 2, 0)
+        return 1.0 - np.clip(4.0 * (green - np.maximum(red, blue)), 0.0, 1.0), state
+
+
+@pytest.fixture
+def network(monkeypatch):
+    """Robust Video Matting as this process has it."""
+    network = Green()
+    monkeypatch.setattr(matting, "load_matting", lambda device: network)
+    return network
+
+
+@pytest.fixture
+def no_network(monkeypatch):
+    def load(device):
+        raise matting.MattingMissing("torchvision is not installed")
+
+    monkeypatch.setattr(matting, "load_matting", load)
+
+
+def prepare(*arguments):
+    """The verb in this process; its exit status."""
+    return run(main, PrepareConfig, program="python -m samira_warp.prepare", arguments=[*map(str, arguments), "--device", "cpu"])
+
+
+def command(*arguments, environment=None):
+    """The verb in a process of its own, begun."""
+    words = [sys.executable, "-m", "samira_warp.prepare", *map(str, arguments), "--device", "cpu"]
+    return subprocess.Popen(words, env={**os.environ, **(environment or {})}, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def refusal(capsys, *arguments, status=2):
+    """The last line of what is said when the verb refuses; the lines before it are notes and progress."""
+    capsys.readouterr()
+    assert prepare(*arguments) == status
+    captured = capsys.readouterr()
+    assert "Traceback" not in captured.err
+    *before, last = captured.err.splitlines()
+    assert last.startswith("error: ")
+    assert not any(line.startswith("error: ") for line in before)
+    return last
+
+
+def tree(folder):
+    """Every file's bytes by path, without what says when and where it was made."""
+    paths = [path for path in sorted(folder.rglob("*")) if path.is_file() and path.suffix in (".jpg", ".png", ".json", ".npz")]
+    return {str(path.relative_to(folder)): path.read_bytes() for path in paths}
+
+
+def times(folder):
+    return {path: path.stat().st_mtime_ns for path in folder.rglob("*") if path.is_file()}
+
+
+@pytest.fixture
+def albedo(tmp_path):
+    """Every third frame's, by the names of the film."""
+    folder = tmp_path / "albedo of it"
+    folder.mkdir()
+    for number in range(0, 12, 3):
+        write_png(folder / f"{number:06d}.png", np.full((16, 16, 3), number / 12))
+    return folder
+
+
+def test_from_a_video_to_an_avatar(video, vhap, albedo, tmp_path):
+    """The whole way in processes of their own, torch.hub and VHAP's scripts included."""
+    out = tmp_path / "out"
+    ended = command(video, "--out", out, *vhap_options(vhap), "--albedo", albedo, environment=make_hub(tmp_path / "hub"))
+    said = ended.communicate(timeout=300)[1]
+    assert ended.returncode == 0, said
+    assert "Traceback" not in said
+    assert f"train --data {out / 'dataset'}" in said.splitlines()[-1]
+    sequence = open_sequence(out / "dataset")
+    assert len(sequence.frames) == 12
+    assert [frame.albedo_path is not None for frame in sequence.frames] == [number % 3 == 0 for number in range(12)]
+    side = sequence.frames[0].camera.width
+    x, y, cropped = json.loads((out / "stages" / "crop.json").read_text())["result"]["crop"]
+    assert side == cropped
+    # the head is a ball of 0.1 m at 1 m, 18 pixels wide, that moves; the square is half again as large as where it goes
+    assert 24 <= side <= 50
+    assert x < LEFT + 8
+    assert y < TOP + 8
+    assert min(x, y) >= 0
+    pixels = load_pixels(sequence.frames[3], width=side, height=side)
+    head = (pixels.mask > 0.5).nonzero().float().mean(dim=0)
+    assert (head - side / 2).abs().max() < 6
+    assert pixels.image[-1, 0].min() > 0.97, "green is gone"
+    assert train_command(*train_arguments(out / "dataset", tmp_path / "run")) == 0
+
+
+def test_what_is_done_is_skipped(video, vhap, network, tmp_path):
+    arguments = (video, "--out", tmp_path / "out", *vhap_options(vhap))
+    assert prepare(*arguments) == 0
+    before, asked = times(tmp_path / "out"), network.asked
+    assert prepare(*arguments) == 0
+    assert times(tmp_path / "out") == before
+    assert network.asked == asked
+
+
+def test_without_vhap_all_before_it_is_made_and_it_is_named(video, vhap, network, tmp_path, capsys):
+    arguments = (video, "--out", tmp_path / "out")
+    message = refusal(capsys, *arguments)
+    assert "git clone https://github.com/ShenhanQian/VHAP" in message
+    assert "--vhap" in message
+    assert len(list((tmp_path / "out/film/images").iterdir())) == len(list((tmp_path / "out/film/alpha_maps").iterdir())) == 12
+    before = times(tmp_path / "out" / "film")
+    assert prepare(*arguments, *vhap_options(vhap)) == 0
+    assert times(tmp_path / "out" / "film") == before
+    # once tracked, it is not asked for again
+    assert prepare(*arguments) == 0
+
+
+def test_vhap_is_found_where_its_python_has_it(video, vhap, network, tmp_path, monkeypatch):
+    monkeypatch.setenv("PYTHONPATH", str(vhap))
+    assert prepare(video, "--out", tmp_path / "out", *CROP, "--vhap-python", f"'{sys.executable}' -u") == 0
+    monkeypatch.delenv("PYTHONPATH")
+    assert tracking.installed_vhap(sys.executable) is None
+    assert tracking.installed_vhap("no-such-python") is None
+
+
+def test_without_matting_the_middle_is_kept_and_it_is_named(video, vhap, no_network, tmp_path, capsys, monkeypatch):
+    arguments = (video, "--out", tmp_path / "out", *vhap_options(vhap))
+    assert prepare(*arguments) == 0
+    said = capsys.readouterr().err
+    assert said.count("no Robust Video Matting (torchvision is not installed)") == 1
+    assert "pip install torchvision" in said
+    assert "becomes part of the avatar" in said
+    assert "--crop X,Y,SIDE" in said
+    listing = open_listing(tmp_path / "out" / "dataset")
+    assert listing.frames[0].camera.width == HEIGHT
+    assert load_pixels(listing.frames[0], width=HEIGHT, height=HEIGHT).mask.min() == 1.0
+    # with it at last, the head is found and all that follows is made anew
+    network = Green()
+    monkeypatch.setattr(matting, "load_matting", lambda device: network)
+    assert prepare(*arguments) == 0
+    frame = open_listing(tmp_path / "out" / "dataset").frames[0]
+    assert frame.camera.width < HEIGHT
+    assert load_pixels(frame, width=HEIGHT, height=HEIGHT).mask.min() < 0.1
+
+
+def test_mattes_of_another_program_are_kept_once_given(video, vhap, no_network, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert prepare(video, "--out", out, *vhap_options(vhap)) == 0
+    given = tmp_path / "given"
+    given.mkdir()
+    for path in (out / "film" / "images").iterdir():
+        write_png(given / f"{path.stem}.png", np.tri(HEIGHT))
+    capsys.readouterr()
+    assert prepare(video, "--out", out, *vhap_options(vhap), "--mattes", given) == 0
+    mask = load_pixels(open_listing(out / "dataset").frames[5], width=HEIGHT, height=HEIGHT).mask
+    assert np.abs(mask.numpy() - np.tri(HEIGHT)).mean() < 0.02
+    assert "part of the avatar" not in capsys.readouterr().err
+    before = times(out)
+    assert prepare(video, "--out", out, *vhap_options(vhap)) == 0
+    assert times(out) == before
+
+
+def test_without_albedo_it_is_named_and_can_be_added(video, vhap, network, albedo, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert prepare(video, "--out", out, *vhap_options(vhap), *CROP) == 0
+    said = capsys.readouterr().err
+    assert "git clone https://github.com/zju3dv/IntrinsicAnything" in said
+    assert f"--input_dir {out / 'dataset' / 'images'}" in said
+    before = times(out)
+    assert prepare(video, "--out", out, "--albedo", albedo) == 0
+    said = capsys.readouterr().err
+    assert "4 of 12 frames have an albedo image" in said
+    assert "IntrinsicAnything" not in said
+    assert {path: stamp for path, stamp in times(out).items() if path in before} == before
+    added = read_image(out / "dataset" / "albedo" / "00003_00.png", channels=3)
+    assert added.shape == (32, 32, 3)
+    assert np.abs(added - 3 / 12).max() < 1 / 255
+    # by the dataset's own names as well, and others of the folder are left alone
+    (albedo / "000003.png").rename(albedo / "00003_00.png")
+    write_png(albedo / "somebody else.png", np.zeros((16, 16, 3)))
+    assert prepare(video, "--out", out, "--albedo", albedo) == 0
+    assert "4 of 12" in capsys.readouterr().err
+
+
+def test_other_options_make_anew_what_follows_from_them(video, vhap, network, tmp_path):
+    out = tmp_path / "out"
+    assert prepare(video, "--out", out, *vhap_options(vhap), *CROP) == 0
+    assert prepare(video, "--out", out, *vhap_options(vhap), "--size", 24, "--fps", 12.5) == 0
+    frame, *rest = open_listing(out / "dataset").frames
+    assert (frame.camera.width, len(rest)) == (24, 5)
+    assert json.loads((out / "stages" / "crop.json").read_text())["result"]["crop"] == [LEFT, TOP, 32], "what was given stays"
+
+
+def test_an_interrupted_stage_goes_on(video, vhap, network, tmp_path, monkeypatch):
+    arguments = (video, *vhap_options(vhap), *CROP)
+    assert prepare(*arguments, "--out", tmp_path / "whole") == 0
+    out, write, written = tmp_path / "parts", frames.write_whole, []
+
+    def ended_write(path, picture):
+        written.append(path)
+        if len(written) in (5, 20):  # among the frames, then among the mattes
+            raise KeyboardInterrupt
+        write(path, picture)
+
+    for module in (frames, matting):
+        monkeypatch.setattr(module, "write_whole", ended_write)
+    assert prepare(*arguments, "--out", out) == 130
+    assert len(list((out / "film" / "images").iterdir())) == 4
+    assert prepare(*arguments, "--out", out) == 130
+    assert len(list((out / "film" / "images").iterdir())) == 12
+    assert not (out / "tracking").exists()
+    assert prepare(*arguments, "--out", out) == 0
+    assert len(written) == 24 + 2, "nothing is made twice but what was interrupted"
+    assert tree(tmp_path / "whole" / "film") == tree(out / "film")
+    assert tree(tmp_path / "whole" / "dataset") == tree(out / "dataset")
+
+
+def test_ctrl_c_ends_vhap_and_exits_130(video, vhap, tmp_path):
+    (vhap / "slow").touch()
+    out = tmp_path / "out"
+    begun = command(video, "--out", out, *vhap_options(vhap), *CROP)
+    deadline = time.monotonic() + 200
+    while not (vhap / "started").exists():
+        assert time.monotonic() < deadline
+        assert begun.poll() is None, begun.communicate()[1]
+        time.sleep(0.05)
+    begun.send_signal(signal.SIGINT)  # to this process alone: a terminal would send it to VHAP as well
+    said = begun.communicate(timeout=100)[1]
+    assert begun.returncode == 130
+    assert "Traceback" not in said
+    assert said.splitlines()[-1] == "stopped; the same command goes on"
+    with pytest.raises(ProcessLookupError):
+        os.kill(int((vhap / "started").read_text()), 0)
+    assert not [path.name for path in out.iterdir() if "tracking" in path.name and path.is_dir()]
+
+
+def test_a_lost_frame_is_made_again(video, network, tmp_path, capsys):
+    out = tmp_path / "out"
+    refusal(capsys, video, "--out", out, *CROP)
+    before = tree(out)
+    (out / "film" / "images" / "000007.jpg").unlink()
+    refusal(capsys, video, "--out", out, *CROP)
+    assert tree(out) == before
+
+
+def test_a_lost_dataset_is_exported_again(video, vhap, network, albedo, tmp_path):
+    out = tmp_path / "out"
+    arguments = (video, "--out", out, *vhap_options(vhap), *CROP, "--albedo", albedo)
+    assert prepare(*arguments) == 0
+    before, tracked = tree(out / "dataset"), times(out / "tracking")
+    shutil.rmtree(out / "dataset")
+    assert prepare(*arguments) == 0
+    assert tree(out / "dataset") == before
+    assert times(out / "tracking") == tracked
+
+
+def test_a_full_disk_is_one_line_and_leaves_nothing_half(video, network, tmp_path, capsys):
+    out = tmp_path / "out"
+    with file_size_limit(600):  # enough for the stages' files, too little for a frame
+        message = refusal(capsys, video, "--out", out, *CROP)
+    assert "000000.jpg: cannot be written" in message
+    assert list((out / "film" / "images").iterdir()) == []
+    refusal(capsys, video, "--out", out, *CROP)
+    assert len(list((out / "film" / "images").iterdir())) == 12
+
+
+def test_vhap_that_fails_is_named_by_its_last_line(video, vhap, network, tmp_path, capsys):
+    arguments = (video, "--out", tmp_path / "out", *vhap_options(vhap), *CROP)
+    (vhap / "broken").touch()
+    message = refusal(capsys, *arguments)
+    assert (
+        f"{tmp_path / 'out' / 'tracking.log'}: expected VHAP's vhap/track.py to end well, found status 1: ImportError: nvdiffrast"
+        in message
+    )
+    assert "step 2" in (tmp_path / "out" / "tracking.log").read_text()
+    (vhap / "broken").unlink()
+    (vhap / "empty").touch()
+    assert "to leave tracked_flame_params" in refusal(capsys, *arguments)
+    assert not (tmp_path / "out" / "tracking").exists()
+    (vhap / "empty").unlink()
+    assert prepare(*arguments) == 0
+
+
+def test_wrong_options_are_one_line_before_anything_is_written(video, vhap, network, tmp_path, capsys):
+    out = tmp_path / "out"
+
+    def refused(*options):
+        message = refusal(capsys, video, "--out", out, *options)
+        assert not out.exists()
+        return message
+
+    assert "--size: expected at least 16 pixels, found 0" in refused("--size", 0)
+    assert "--fps" in refused("--fps", "nan")
+    assert "--fps" in refused("--fps", 0)
+    assert f"{WIDTH} x {HEIGHT}" in refused("--crop", "0,0,65")
+    assert "X,Y,SIDE" in refused("--crop", "all")
+    assert "--mattes" in refused("--mattes", tmp_path / "none")
+    assert "--albedo" in refused("--albedo", video)
+    assert "no vhap/track.py in it" in refused("--vhap", tmp_path)
+    assert "no command" in refused("--vhap", vhap, "--vhap-python", "no-such-python -u")
+    assert "--vhap-python" in refused("--vhap", vhap, "--vhap-python", "")
+    assert "--vhap-python" in refused("--vhap", vhap, "--vhap-python", "'unended")
+    (tmp_path / "broken.mp4").write_bytes(video.read_bytes()[:2000])
+    assert "broken.mp4: expected a video" in refusal(capsys, tmp_path / "broken.mp4", "--out", out)
+    assert "none.mp4: expected a video file, found no such file" in refusal(capsys, tmp_path / "none.mp4", "--out", out)
+    assert not out.exists()
+
+
+def test_a_folder_of_other_things_is_left_alone(video, network, tmp_path, capsys):
+    (tmp_path / "out" / "dataset").mkdir(parents=True)
+    (tmp_path / "out" / "dataset" / "precious").write_text("mine")
+    assert "dataset of another origin" in refusal(capsys, video, "--out", tmp_path / "out")
+    assert (tmp_path / "out" / "dataset" / "precious").read_text() == "mine"
+    assert "found a file" in refusal(capsys, video, "--out", video)
+
+
+def test_a_video_without_anybody_is_refused(video, network, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(matting, "load_matting", lambda device: lambda picture, state: (np.zeros(picture.shape[:2], np.float32), state))
+    assert "nobody in its mattes" in refusal(capsys, video, "--out", tmp_path / "out")
+
+
+def test_albedo_of_other_frames_is_refused(video, vhap, network, albedo, tmp_path, capsys):
+    out = tmp_path / "out"
+    assert prepare(video, "--out", out, *vhap_options(vhap), *CROP, "--albedo", albedo) == 0
+    others = shutil.copytree(albedo, tmp_path / "others")
+    for path in others.iterdir():
+        path.rename(others / f"another {path.name}")
+    message = refusal(capsys, video, "--out", out, "--albedo", others)
+    assert "00000_00.png or 000000.png, found 4 pictures of other names" in message
+    assert len(list((out / "dataset" / "albedo").iterdir())) == 4, "what was there stays"
+    wide = tmp_path / "wide"
+    wide.mkdir()
+    write_png(wide / "000000.png", np.zeros((8, 16, 3)))
+    assert "found 16 x 8" in refusal(capsys, video, "--out", out, "--albedo", wide)
+
+
+def test_the_last_line_of_a_log_is_what_a_progress_bar_left(tmp_path):
+    log = tmp_path / "log"
+    for text, last in (("", ""), ("a\nb\n", "b"), ("a\n 10%\r 20%\r", "20%"), ("x" * 9000 + "\nend \n\n", "end")):
+        log.write_text(text)
+        assert tracking._last_line(log) == last
