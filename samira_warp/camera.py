@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import functools
 from dataclasses import dataclass, replace
 
 import torch
+
+from samira_warp.caching import cached_tensors
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ class Camera:
         return rays @ transform[:3, :3]
 
 
-@functools.lru_cache(maxsize=4)
+@cached_tensors(maxsize=4)
 def _unit_rays(
     fx: float, fy: float, cx: float, cy: float, width: int, height: int, dtype: torch.dtype, device: torch.device
 ) -> torch.Tensor:

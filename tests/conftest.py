@@ -26,6 +26,14 @@ def generator():
 
 
 @pytest.fixture
+def use_threads():
+    """`torch.set_num_threads`, taken back after the test."""
+    before = torch.get_num_threads()
+    yield torch.set_num_threads
+    torch.set_num_threads(before)
+
+
+@pytest.fixture
 def subject():
     if not SUBJECT.is_dir():
         pytest.skip(f"the real subject is absent: {SUBJECT.name} is not part of the project")

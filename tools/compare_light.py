@@ -19,9 +19,12 @@ from relight_table import AvatarPrediction, at_size, pairs, read_lights
 
 from samira_warp.avatar import Avatar, DrivingFrame, read_frames
 from samira_warp.avatar.gaussians import INITIAL_ROUGHNESS, INITIAL_SPECULAR, ROUGHNESS_RANGE, SPECULAR_RANGE
+from samira_warp.avatar.storage import DESCRIPTION_FILE, TEMPLATE_FILE, find_avatar
 from samira_warp.cli import run
 from samira_warp.data import PixelCache, Sequence, open_sequence
+from samira_warp.errors import UserError
 from samira_warp.evaluate import evaluate_images
+from samira_warp.files import read_json
 from samira_warp.images import read_image
 from samira_warp.kernels.gather import gather
 from samira_warp.light import LearnableLight, decode_srgb
@@ -91,7 +94,10 @@ class CompareConfig:
 
 def main(config: CompareConfig) -> None:
     """Fit and score every variant; one row each, as soon as it is known."""
-    sequence = open_sequence(config.data)
+    unknown = [name for name in config.only if name not in VARIANTS]
+    if unknown:
+        raise UserError("--only", expected=f"some of {', '.join(VARIANTS)}", found=", ".join(unknown))
+    sequence = _open_own(config)
     rows = []
     with PixelCache(sequence.frames, width=config.resolution, height=config.resolution, max_bytes=PIXEL_CACHE_BYTES) as pixels:
         for name in config.only:
@@ -101,6 +107,22 @@ def main(config: CompareConfig) -> None:
                 _print_row(rows[-1], header=len(rows) == 1)
     if config.json:
         print(json.dumps([{**row, "settings": asdict(VARIANTS[row["variant"]])} for row in rows]))
+
+
+def _open_own(config: CompareConfig) -> Sequence:
+    """The dataset, divided as it was for training.
+
+    Raises:
+        UserError: It is not the one that the avatar was trained on.
+    """
+    folder = find_avatar(config.avatar)
+    split = read_json(folder / DESCRIPTION_FILE)["record"].get("split", "dataset")
+    sequence = open_sequence(config.data, split=split, flame=folder / TEMPLATE_FILE)
+    trained_on = {frame.name for frame in read_frames(folder) if frame.part == "train"}
+    strange = [sequence.frames[index].name for index in sequence.train if sequence.frames[index].name not in trained_on]
+    if strange:
+        raise UserError(config.data, expected="the dataset that the avatar was trained on", found=f"{strange[0]}, new to it")
+    return sequence
 
 
 def _print_row(row: dict[str, str | float], *, header: bool) -> None:

@@ -18,10 +18,15 @@ from samira_warp.bench.raster import StageTimes, stage_times
 from samira_warp.bench.scene import Scene, make_scene
 from samira_warp.bench.timing import hardware
 from samira_warp.cli import run
+from samira_warp.constants import ALPHA_MIN
 from samira_warp.devices import DeviceName, pick_device
+from samira_warp.errors import UserError
 
 TRANSLUCENT = 0.1
 """Factor on the scene's opacities, so that pixels see all their Gaussians instead of stopping when they are full."""
+
+FAINT = 0.5 * ALPHA_MIN
+"""The same for Gaussians that are too faint for a pixel of 8 bits."""
 
 STAGES = ("prepare", "forward", "backward")
 
@@ -47,7 +52,7 @@ AXES = {
     "gaussians": "Gaussians",
     "size": "image size, pixels",
     "channels": "channels",
-    "culled": "Gaussians behind the camera, besides 50,000 before it",
+    "culled": "Gaussians behind the camera, off-screen or too faint, besides 50,000",
 }
 
 HEADER = (
@@ -67,6 +72,10 @@ class GrowthConfig:
 
 def main(config: GrowthConfig) -> None:
     """Measure, print and plot."""
+    if config.out.suffix != ".png":
+        raise UserError(config.out, expected="a file name ending in .png", found=config.out.suffix or "no suffix")
+    if not config.out.parent.is_dir():
+        raise UserError(config.out.parent, expected="an existing folder", found="no such folder")
     device = torch.device(pick_device(config.device))
     measured: dict[str, list[StageTimes]] = {}
     print(f"{hardware(device)}\n")
@@ -87,12 +96,16 @@ def _measure(points: list[Point], device: torch.device) -> Iterator[tuple[Point,
 
 
 def _scene(point: Point, device: torch.device) -> Scene:
-    """The benchmark's scene, translucent, the culled Gaussians mixed into the others."""
+    """The benchmark's scene, translucent; mixed into it, as many behind the camera as beside the image and as are too faint to see."""
     scene = make_scene(point.gaussians + point.culled, point.size, device)
     shuffle = torch.randperm(len(scene.means), generator=torch.Generator().manual_seed(1))
-    means = scene.means.clone()
-    means[shuffle[: point.culled].to(device), 2] *= -1.0
-    return replace(scene, means=means, opacities=TRANSLUCENT * scene.opacities)
+    behind, beside, faint = (chosen.to(device) for chosen in shuffle[: point.culled].tensor_split(3))
+    means, opacities = scene.means.clone(), TRANSLUCENT * scene.opacities
+    means[behind, 2] *= -1.0
+    # the scene's disc ends inside the image: two widths to the side
+    means[beside, 0] += 2.0 * point.size / scene.camera.fx * means[beside, 2]
+    opacities[faint] *= FAINT / TRANSLUCENT
+    return replace(scene, means=means, opacities=opacities)
 
 
 def _per_intersection(times: StageTimes) -> float:

@@ -75,7 +75,7 @@ class Motion(NamedTuple):
     residual_rotation: torch.Tensor
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Rendering:
     """One rendered frame.
 

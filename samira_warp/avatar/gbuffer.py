@@ -44,7 +44,7 @@ class ScreenGaussians(NamedTuple):
     visible: torch.Tensor
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class GBuffer:
     """Straight (not premultiplied) surface attributes of every pixel.
 

@@ -10,6 +10,7 @@ from types import ModuleType
 from typing import NamedTuple
 
 import torch
+from torch import Tensor
 
 from samira_warp.bench.scene import Scene
 from samira_warp.bench.timing import least_ms
@@ -33,13 +34,11 @@ class GsplatTimes(NamedTuple):
 
 def gsplat_times(scene: Scene, channels: int) -> GsplatTimes | None:
     """Time gsplat on a scene on a GPU; None where gsplat is absent, or fails (its first call builds it, with nvcc): stderr says why."""
-    gsplat = _gsplat()
-    if gsplat is None:
-        return None
     try:
-        return _measure(gsplat, scene, channels)
-    except (AttributeError, ImportError, OSError, RuntimeError) as error:
-        print(f"gsplat left out: {' '.join(str(error).split())}", file=sys.stderr)
+        gsplat = _gsplat()
+        return None if gsplat is None else _measure(gsplat, scene, channels)
+    except (AssertionError, AttributeError, ImportError, KeyError, OSError, RuntimeError, TypeError) as error:
+        print(f"gsplat left out: {type(error).__name__} {' '.join(str(error).split())}", file=sys.stderr)
         return None
 
 
@@ -55,7 +54,7 @@ def _measure(gsplat: ModuleType, scene: Scene, channels: int) -> GsplatTimes:
     view = (camera.world_to_camera[None], intrinsics[None], camera.width, camera.height)
 
     @torch.no_grad()
-    def whole() -> dict[str, torch.Tensor]:
+    def whole() -> dict[str, Tensor]:
         return gsplat.rasterization(*gaussians, *view, packed=False)[2]
 
     # one camera: everything per Gaussian is (1, N, ...)
@@ -64,7 +63,7 @@ def _measure(gsplat: ModuleType, scene: Scene, channels: int) -> GsplatTimes:
     leaves = [value.contiguous().clone().requires_grad_() for value in values]
     tiles = (lists["tile_size"], lists["isect_offsets"], lists["flatten_ids"])
 
-    def blend() -> tuple[torch.Tensor, torch.Tensor]:
+    def blend() -> tuple[Tensor, Tensor]:
         return gsplat.rasterize_to_pixels(*leaves, camera.width, camera.height, *tiles)
 
     image, alpha = blend()

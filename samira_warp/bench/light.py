@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import json as json_module
-import statistics
+import json as json_format
 import tempfile
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import OpenImageIO
 import torch
+from torch import Tensor
 
 from samira_warp.bench.light_table import light_table, print_light_table
+from samira_warp.bench.timing import hardware, least_ms
 from samira_warp.kernels.cubemap import texel_directions, texel_solid_angles
 from samira_warp.kernels.cubemap_filter import irradiance, prefilter
 from samira_warp.light.environment import Environment
@@ -27,7 +26,6 @@ SHADED_PIXELS = 65536
 BRUTE_FORCE_LADDER = ((0.25, 16), (0.5, 8), (1.0, 8))
 """Roughness and size at which filters are compared with float64 sums over all pairs of texels."""
 
-
 ENVIRONMENT_SIZE = 256
 """Texels along a face of a relighting environment."""
 
@@ -38,14 +36,16 @@ CHECKED_TEXELS = 24
 def main(device: str, json: bool, hdri: Path | None = None) -> None:
     """Measure on ``device`` and print a table, or with ``json`` one object.
 
-    Its fields: ``furnace_max_error``, over all mips and the irradiance of a uniform light of 1; ``bruteforce_max_error``, over one-hot and
-    random maps, by the peak; ``environment_max_error``, the same of a relighting environment of 256, at some of its texels;
-    ``step_ms``, a training step's filtering, forward and adjoint; ``shade_ms`` and ``shade_adjoint_ms``, of 65,536 pixels under the learned
-    light; ``shade_quarter_ms`` and ``shade_quarter_adjoint_ms``, with three quarters of them uncovered; ``environment_ms``, a file of
-    1024 x 512 pixels to a filtered environment of 256; ``monte_carlo``, see `bench.light_table`, for the maps in the folder ``hdri``.
+    Its fields: ``hardware``, ``device`` and ``threads``, what computed; ``furnace_max_error``, over all mips and the irradiance of a
+    uniform light of 1; ``bruteforce_max_error``, over one-hot and random maps, by the peak; ``environment_max_error``, the same of a
+    relighting environment of 256, at some of its texels; ``step_ms``, a training step's filtering, forward and adjoint; ``shade_ms`` and
+    ``shade_adjoint_ms``, of 65,536 pixels under the learned light; ``shade_quarter_ms`` and ``shade_quarter_adjoint_ms``, with three
+    quarters of them uncovered; ``environment_ms``, a file of 1024 x 512 pixels to a filtered environment of 256; ``monte_carlo``, see
+    `bench.light_table`, for the maps in the folder ``hdri``.
     """
     place = torch.device(device)
     row = {
+        "hardware": hardware(place),
         "device": device,
         "threads": torch.get_num_threads(),
         "furnace_max_error": _furnace_error(place),
@@ -57,7 +57,7 @@ def main(device: str, json: bool, hdri: Path | None = None) -> None:
     }
     table = light_table(hdri, place) if hdri else []
     if json:
-        print(json_module.dumps({**row, "monte_carlo": table}))
+        print(json_format.dumps({**row, "monte_carlo": table}))
         return
     for name, value in row.items():
         print(f"{name:26} {value:.3g}" if isinstance(value, float) else f"{name:26} {value}")
@@ -112,13 +112,13 @@ def _step_ms(device: torch.device) -> float:
     def step() -> None:
         torch.autograd.grad(_maps(light()), list(light.parameters()), upstream)
 
-    return _median_ms(step, device, repeats=11)
+    return least_ms(step, device, repeats=11)
 
 
 def _shade_ms(device: torch.device) -> dict[str, float]:
     generator = torch.Generator().manual_seed(0)
 
-    def random(channels: int) -> torch.Tensor:
+    def random(channels: int) -> Tensor:
         return torch.rand(SHADED_PIXELS, channels, generator=generator)
 
     normal = torch.nn.functional.normalize(random(3) * 2 - 1, dim=-1)
@@ -131,15 +131,15 @@ def _shade_ms(device: torch.device) -> dict[str, float]:
     for name, covered in (("shade", 1.0), ("shade_quarter", 0.25)):
         alpha = (torch.arange(SHADED_PIXELS) < covered * SHADED_PIXELS).float()[:, None].to(device).requires_grad_()
 
-        def run(alpha: torch.Tensor = alpha) -> torch.Tensor:
+        def run(alpha: Tensor = alpha) -> Tensor:
             return shade(*values, view, light, alpha=alpha).image
 
-        def back(image: torch.Tensor, alpha: torch.Tensor = alpha) -> None:
+        def back(image: Tensor, alpha: Tensor = alpha) -> None:
             torch.autograd.grad(image, [*values, alpha, *maps], torch.ones_like(image), retain_graph=True)
 
         image = run()
-        times[f"{name}_ms"] = _median_ms(run, device, repeats=11)
-        times[f"{name}_adjoint_ms"] = _median_ms(lambda image=image, back=back: back(image), device, repeats=11)
+        times[f"{name}_ms"] = least_ms(run, device, repeats=11)
+        times[f"{name}_adjoint_ms"] = least_ms(lambda image=image, back=back: back(image), device, repeats=11)
     return times
 
 
@@ -148,26 +148,9 @@ def _environment_ms(device: torch.device) -> float:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "light.hdr"
         OpenImageIO.ImageBuf(panorama.numpy()).write(str(path))
-        return _median_ms(lambda: Environment.load(path, size=ENVIRONMENT_SIZE).to(device).filtered(), device, repeats=3)
+        return least_ms(lambda: Environment.load(path, size=ENVIRONMENT_SIZE).to(device).filtered(), device, repeats=3)
 
 
-def _maps(light: FilteredLight) -> list[torch.Tensor]:
-    """Irradiance and the five mips."""
+def _maps(light: FilteredLight) -> list[Tensor]:
+    """Irradiance, and all mips of the specular light."""
     return [light.irradiance, *light.specular]
-
-
-def _median_ms(run: Callable[[], object], device: torch.device, *, repeats: int) -> float:
-    """Median wall time after one run to compile and fill caches."""
-    times = []
-    for _ in range(repeats + 1):
-        _wait(device)
-        start = time.perf_counter()
-        run()
-        _wait(device)
-        times.append(1e3 * (time.perf_counter() - start))
-    return statistics.median(times[1:])
-
-
-def _wait(device: torch.device) -> None:
-    if device.type == "cuda":
-        torch.cuda.synchronize(device)

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import OpenImageIO
 import torch
+from torch import Tensor
 
 from samira_warp.avatar.gbuffer import SurfaceAttributes
 from samira_warp.bench.light_truth import Panorama, brdf_terms, seen_light
@@ -15,6 +15,7 @@ from samira_warp.bench.subject import make_avatar, make_camera, make_parameters
 from samira_warp.constants import COVERED_ALPHA
 from samira_warp.errors import UserError
 from samira_warp.light.environment import Environment
+from samira_warp.light.radiance_map import RadianceMap
 from samira_warp.light.shading import shade
 
 SPHERE_ROUGHNESS = (0.1, 0.25, 0.35, 0.5, 0.75, 1.0)
@@ -30,13 +31,13 @@ SAMPLES = 8192
 class Surface(NamedTuple):
     """Points of a G-buffer, float32: see `light.shading.shade`."""
 
-    albedo: torch.Tensor
-    normal: torch.Tensor
-    roughness: torch.Tensor
-    specular: torch.Tensor
-    response_diffuse: torch.Tensor
-    response_specular: torch.Tensor
-    view: torch.Tensor
+    albedo: Tensor
+    normal: Tensor
+    roughness: Tensor
+    specular: Tensor
+    response_diffuse: Tensor
+    response_specular: Tensor
+    view: Tensor
 
 
 def light_table(folder: Path, device: torch.device) -> list[dict[str, object]]:
@@ -46,7 +47,7 @@ def light_table(folder: Path, device: torch.device) -> list[dict[str, object]]:
     standard error of the true C_fg itself.
 
     Raises:
-        UserError: The folder holds no maps, or one cannot be read.
+        UserError: The folder holds no maps, or one cannot be read or is a cube cross.
     """
     paths = sorted(path for path in folder.glob("*") if path.suffix.lower() in (".hdr", ".exr"))
     if not paths:
@@ -54,8 +55,8 @@ def light_table(folder: Path, device: torch.device) -> list[dict[str, object]]:
     objects = {f"sphere {roughness:g}": sphere(roughness) for roughness in SPHERE_ROUGHNESS} | {"head": head()}
     rows = []
     for path in paths:
+        panorama = _read_panorama(path)
         light = Environment.load(path).to(device).filtered()
-        panorama = Panorama(OpenImageIO.ImageBuf(str(path)).get_pixels(OpenImageIO.FLOAT)[..., :3].astype(np.float64))
         for name, surface in objects.items():
             shaded = shade(*(values.to(device) for values in surface), light)
             found = (value.cpu().double().numpy() for value in (shaded.irradiance, shaded.specular_light, shaded.color))
@@ -66,6 +67,13 @@ def light_table(folder: Path, device: torch.device) -> list[dict[str, object]]:
             }
             rows.append({"map": path.stem, "object": name, **errors, "noise": _relative(noise, truth[-1])})
     return rows
+
+
+def _read_panorama(path: Path) -> Panorama:
+    radiance = RadianceMap.read(path)
+    if radiance.face_size is not None:
+        raise UserError(path, expected="an equirectangular map, twice as wide as high, which is sampled as it is", found="a cube cross")
+    return Panorama(radiance.texels.double().numpy())
 
 
 def true_light(surface: Surface, panorama: Panorama, generator: np.random.Generator) -> tuple[tuple[np.ndarray, ...], np.ndarray]:

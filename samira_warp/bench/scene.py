@@ -11,7 +11,7 @@ from torch import Tensor
 from samira_warp.camera import Camera
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Scene:
     """N Gaussians in a disc before a camera behind a long lens.
 

@@ -27,7 +27,7 @@ class Stages:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Time what is inside; on a GPU, from an idle device to an idle device."""
+        """Time what is inside, other stages included; on a GPU, from an idle device to an idle device."""
         self._wait()
         begin = time.perf_counter()
         yield
@@ -35,9 +35,8 @@ class Stages:
         self._samples.setdefault(name, []).append(1e3 * (time.perf_counter() - begin))
 
     def medians(self) -> dict[str, float]:
-        """Median milliseconds of every stage, without the warm-up runs, and their sum as ``total``."""
-        medians = {name: statistics.median(samples[WARM_UP:]) for name, samples in self._samples.items()}
-        return {**medians, "total": sum(medians.values())}
+        """Median milliseconds of every stage, without the warm-up runs."""
+        return {name: statistics.median(samples[WARM_UP:]) for name, samples in self._samples.items()}
 
     def _wait(self) -> None:
         if self._device.type == "cuda":

@@ -43,7 +43,11 @@ def measure(device: torch.device, *, preset: str) -> dict[str, object]:
         with stages.stage("optimizer"):
             optimizer.step()
 
-    repeat(step)
+    def whole_step() -> None:
+        with stages.stage("total"):
+            step()
+
+    repeat(whole_step)
     row = {"preset": preset, "size": size, "gaussians": len(avatar.gaussians)}
     return {**row, **{f"{name}_ms": value for name, value in stages.medians().items()}}
 

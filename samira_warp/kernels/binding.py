@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import torch
 import warp as wp
+from torch.autograd.function import once_differentiable
 
 from samira_warp.errors import UserError
 from samira_warp.kernels.grouping import Groups, group_by
@@ -119,6 +120,7 @@ class _Bind(torch.autograd.Function):
         return outputs
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, *grads: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         binding: FaceBinding = ctx.binding
         inputs = ctx.saved_tensors

@@ -18,12 +18,16 @@ from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from samira_warp.kernels import blending_cpu, blending_cuda
 from samira_warp.kernels.slots import GEOMETRY, sum_slots
 from samira_warp.kernels.splats import pack_splats
 from samira_warp.kernels.tiles import TileBins
 from samira_warp.validation import check_tensor
+
+CHANNELS_AT_ONCE = 64
+"""More channels are blended group by group: the CPU keeps a tile's sums of all channels of a group on its stack, 2 KB each."""
 
 
 class Blended(NamedTuple):
@@ -60,8 +64,12 @@ def blend(means2d: Tensor, conics: Tensor, opacities: Tensor, features: Tensor, 
     check_tensor("conics", conics, shape=(count, 3), device=device)
     check_tensor("opacities", opacities, shape=(count,), device=device)
     check_tensor("features", features, shape=(count, "C"), device=device)
-    inputs = (tensor.contiguous() for tensor in (means2d, conics, opacities, features))
-    return Blended(*_Blend.apply(*inputs, bins, width, height))
+    geometry = [tensor.contiguous() for tensor in (means2d, conics, opacities)]
+    groups = features.split(CHANNELS_AT_ONCE, dim=1)
+    blended = [Blended(*_Blend.apply(*geometry, group.contiguous(), bins, width, height)) for group in groups]
+    if len(blended) == 1:
+        return blended[0]
+    return Blended(torch.cat([group.features for group in blended], dim=2), blended[0].transmittance)
 
 
 class _Blend(torch.autograd.Function):
@@ -77,6 +85,7 @@ class _Blend(torch.autograd.Function):
         return blended, transmittance
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, grad_features: Tensor, grad_transmittance: Tensor) -> tuple[Tensor | None, ...]:
         splats, blended, transmittance, *lists = ctx.saved_tensors
         bins = TileBins(*lists, *ctx.grid)

@@ -8,13 +8,22 @@ In integers: twice the texel's coordinates, times S / 2, are odd numbers along t
 
 from __future__ import annotations
 
-import functools
-
 import torch
 import warp as wp
 
+from samira_warp.caching import cached_tensors
+from samira_warp.errors import UserError
+from samira_warp.validation import check_tensor
+
 FACES = 6
 """Faces of a cube."""
+
+
+def check_cubemap(name: str, cubemap: torch.Tensor, *, channels: int | str = "C", device: torch.device | None = None) -> None:
+    """Raise UserError unless ``cubemap`` is (6, S, S, channels) float32, S at least 1, and on ``device`` if one is named."""
+    check_tensor(name, cubemap, shape=(FACES, "S", "S", channels), device=device)
+    if cubemap.shape[1] != cubemap.shape[2] or cubemap.shape[1] == 0:
+        raise UserError(name, expected="square faces", found=tuple(cubemap.shape))
 
 
 def face_axes(device: torch.device | str = "cpu") -> torch.Tensor:
@@ -79,7 +88,7 @@ def texel_solid_angles(size: int, *, dtype: torch.dtype = torch.float32, device:
     return (corner[1:, 1:] - corner[1:, :-1] - corner[:-1, 1:] + corner[:-1, :-1]).to(dtype)
 
 
-@functools.cache
+@cached_tensors()
 def mip_table(sizes: tuple[int, ...], device: torch.device) -> torch.Tensor:
     """(L, 3) int32 per mip: its size, the index of its first texel, and of its first cell (see `cell_index`), in a packed chain."""
     rows, texel, cell = [], 0, 0

@@ -11,15 +11,16 @@ Small filters, such as a training step's, keep the matrices; for large ones `ker
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import torch
 import warp as wp
+from torch.autograd.function import once_differentiable
 
+from samira_warp.caching import cached_tensors
 from samira_warp.errors import UserError
-from samira_warp.kernels.cubemap import FACES, texel_directions, texel_solid_angles
+from samira_warp.kernels.cubemap import FACES, check_cubemap, texel_directions, texel_solid_angles
 from samira_warp.kernels.cubemap_filter_cpu import sum_lobes
 from samira_warp.kernels.cubemap_symmetry import (
     OCTANTS,
@@ -31,7 +32,6 @@ from samira_warp.kernels.cubemap_symmetry import (
     symmetry,
 )
 from samira_warp.kernels.runtime import launch_range
-from samira_warp.validation import check_tensor
 
 _CACHED_WEIGHTS = 1 << 22
 """A filter of at most this many weights (16 MB) keeps them, as all of a training step's do; a larger one makes them anew each time."""
@@ -42,19 +42,22 @@ _BLOCK_WEIGHTS = 1 << 21
 _BLOCK_WIDTH = 4096
 """Texels of such a block."""
 
+CHANNELS_MAX = 32
+"""Channels of a map: `kernels.cubemap_filter_cpu` keeps the sums of all of them on a thread's stack, 12 KB a channel."""
+
 
 def irradiance(radiance: torch.Tensor, *, size: int = 16) -> torch.Tensor:
     """Cosine-weighted mean radiance: E_d(n) = (1 / pi) sum of L max(n . l, 0) dOmega, so that a uniform light of 1 gives 1.
 
     Args:
-        radiance: (6, S, S, C) float32, linear; S even.
+        radiance: (6, S, S, C) float32, linear; S even, C at most 32.
         size: Even size of the result.
 
     Returns:
         (6, size, size, C) float32, differentiable; linear in ``radiance``, with the exact adjoint.
 
     Raises:
-        UserError: A wrong shape or dtype, or an odd size.
+        UserError: A wrong shape or dtype, too many channels, or an odd size.
     """
     _check(radiance, (size,))
     return _Filters.apply(radiance, (Lobe(size, alpha=1.0, normalised=False),))[0]
@@ -64,14 +67,14 @@ def prefilter(base: torch.Tensor, *, ladder: Sequence[tuple[float, int]]) -> tup
     """The chain of mips of a light seen in ever rougher surfaces: the base itself, then GGX-weighted means of it.
 
     Args:
-        base: (6, S, S, C) float32, linear radiance; S even.
+        base: (6, S, S, C) float32, linear radiance; S even, C at most 32.
         ladder: (roughness, size) of each further mip: roughness in (0, 1], size even.
 
     Returns:
         1 + len(ladder) mips, (6, S, S, C) and (6, size, size, C) float32, differentiable; each linear in ``base``, with the exact adjoint.
 
     Raises:
-        UserError: A wrong shape or dtype, an odd size, or a roughness out of range.
+        UserError: A wrong shape or dtype, too many channels, an odd size, or a roughness out of range.
     """
     _check(base, [size for _, size in ladder])
     for roughness, _ in ladder:
@@ -106,6 +109,7 @@ class _Filters(torch.autograd.Function):
         return tuple(results)
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, *grads: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         device, columns = grads[0].device, len(PERMUTATIONS) * grads[0].shape[-1]
         parts = grads[0].new_zeros(OCTANTS, columns, FACES * ctx.base_size**2 // OCTANTS)
@@ -199,7 +203,7 @@ def _weights(base_size: int, lobe: Lobe, device: torch.device) -> Iterator[tuple
             yield *block, _make_weights(base_size, lobe.size, lobe.alpha, *block, device)
 
 
-@functools.lru_cache(maxsize=16)
+@cached_tensors(maxsize=16)
 def _stored_weights(base_size: int, size: int, alpha: float, device: torch.device) -> torch.Tensor:
     rows, texels = len(symmetry(size, device).representatives), FACES * base_size * base_size // OCTANTS
     return _make_weights(base_size, size, alpha, slice(0, rows), slice(0, texels), device)
@@ -216,7 +220,7 @@ def _make_weights(base_size: int, size: int, alpha: float, rows: slice, texels: 
     return weights
 
 
-@functools.lru_cache(maxsize=16)
+@cached_tensors(maxsize=16)
 def _representatives(size: int, device: torch.device) -> torch.Tensor:
     """(4, R): x, y and z of the directions of the representatives, and ones."""
     tables = symmetry(size, device)
@@ -224,7 +228,7 @@ def _representatives(size: int, device: torch.device) -> torch.Tensor:
     return torch.cat([directions, torch.ones_like(directions[:, :1])], dim=-1).T.contiguous()
 
 
-@functools.lru_cache(maxsize=16)
+@cached_tensors(maxsize=16)
 def _octant(size: int, device: torch.device) -> torch.Tensor:
     """(4, U): x, y and z of the directions, and the solid angles, of the texels of the positive octant."""
     areas = texel_solid_angles(size, device=device).expand(FACES, size, size)
@@ -305,9 +309,9 @@ def _lobe_parities(
 
 
 def _check(cubemap: torch.Tensor, sizes: Sequence[int]) -> None:
-    check_tensor("radiance", cubemap, shape=(FACES, "S", "S", "C"))
-    if cubemap.shape[1] != cubemap.shape[2]:
-        raise UserError("radiance", expected="square faces", found=tuple(cubemap.shape))
+    check_cubemap("radiance", cubemap)
+    if cubemap.shape[3] > CHANNELS_MAX:
+        raise UserError("radiance", expected=f"at most {CHANNELS_MAX} channels", found=cubemap.shape[3])
     for size in (cubemap.shape[1], *sizes):
         if size < 2 or size % 2:
             raise UserError("cubemap size", expected="an even number", found=size)

@@ -11,6 +11,7 @@ from typing import Any
 
 import torch
 import warp as wp
+from torch.autograd.function import once_differentiable
 
 from samira_warp.errors import UserError
 from samira_warp.kernels.cubemap import (
@@ -20,6 +21,7 @@ from samira_warp.kernels.cubemap import (
     cell_count,
     cell_index,
     cell_texels,
+    check_cubemap,
     face_point,
     footprint,
     mip_table,
@@ -52,7 +54,7 @@ def sample_cubemap(cubemap: torch.Tensor, directions: torch.Tensor) -> torch.Ten
     Raises:
         UserError: A wrong shape, dtype or device.
     """
-    _check_cubemap("cubemap", cubemap)
+    check_cubemap("cubemap", cubemap)
     check_tensor("directions", directions, shape=("M", 3), device=cubemap.device)
     levels = directions.new_zeros(directions.shape[0])
     return _SampleMips.apply(cubemap.reshape(-1, cubemap.shape[-1]), directions, levels, (cubemap.shape[1],))
@@ -77,7 +79,7 @@ def sample_mips(mips: tuple[torch.Tensor, ...], directions: torch.Tensor, levels
         raise UserError("mips", expected="at least one cubemap", found="none")
     channels, device = mips[0].shape[-1], mips[0].device
     for mip in mips:
-        _check_cubemap("mips", mip, channels=channels, device=device)
+        check_cubemap("mips", mip, channels=channels, device=device)
     check_tensor("directions", directions, shape=("M", 3), device=device)
     check_tensor("levels", levels, shape=(directions.shape[0],), device=device)
     return _SampleMips.apply(pack_mips(mips), directions, levels, tuple(mip.shape[1] for mip in mips))
@@ -142,6 +144,7 @@ class _SampleMips(torch.autograd.Function):
         return result
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, grads: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         texels, directions, levels = ctx.saved_tensors
         count, slots = directions.shape[0], min(2, len(ctx.sizes))
@@ -154,12 +157,6 @@ class _SampleMips(torch.autograd.Function):
         )
         grad_texels = texel_gradient(cells, places, grads, ctx.sizes) if ctx.needs_input_grad[0] else None
         return grad_texels, grad_directions, grad_levels, None
-
-
-def _check_cubemap(name: str, cubemap: torch.Tensor, *, channels: int | str = "C", device: torch.device | None = None) -> None:
-    check_tensor(name, cubemap, shape=(FACES, "S", "S", channels), device=device)
-    if cubemap.shape[1] != cubemap.shape[2] or cubemap.shape[1] == 0:
-        raise UserError(name, expected="square faces", found=f"{tuple(cubemap.shape)}")
 
 
 @wp.func

@@ -8,12 +8,12 @@ octant's rows to the rest. A filter from B to O texels needs B O / 6 stored weig
 
 from __future__ import annotations
 
-import functools
 import itertools
 from typing import NamedTuple
 
 import torch
 
+from samira_warp.caching import cached_tensors
 from samira_warp.kernels.cubemap import FACES, texel_index, texel_points
 
 OCTANTS = 8
@@ -39,7 +39,7 @@ class Symmetry(NamedTuple):
     representatives: torch.Tensor
 
 
-@functools.cache
+@cached_tensors()
 def symmetry(size: int, device: torch.device) -> Symmetry:
     """The tables of an even map size."""
     points = texel_points(size).view(-1, 3)
@@ -55,19 +55,19 @@ def symmetry(size: int, device: torch.device) -> Symmetry:
     return Symmetry(*(table.to(device) for table in (flips, turns, carries.int().argmax(dim=0), source, representatives)))
 
 
-@functools.cache
+@cached_tensors()
 def parities(device: torch.device) -> torch.Tensor:
     """(8, 8) float32 Walsh-Hadamard matrix: entry (p, f) is the sign that parity p gives to flip f. It is its own transpose."""
     return torch.tensor([[1.0 - 2.0 * ((p & f).bit_count() % 2) for f in range(OCTANTS)] for p in range(OCTANTS)], device=device)
 
 
-@functools.cache
+@cached_tensors()
 def turned_parities(device: torch.device) -> torch.Tensor:
     """(8, 6) int64: the parity that each permutation makes of each parity; it moves the bits as it moves the coordinates."""
     return torch.tensor([[sum((p >> turn[k] & 1) << k for k in range(3)) for turn in PERMUTATIONS] for p in range(OCTANTS)], device=device)
 
 
-@functools.cache
+@cached_tensors()
 def spread_table(size: int, device: torch.device) -> torch.Tensor:
     """(8, U, 6) int64 rows (parity U + position) of a map's parity parts that stand at each (parity, position) after each permutation."""
     tables = symmetry(size, device)
@@ -75,7 +75,7 @@ def spread_table(size: int, device: torch.device) -> torch.Tensor:
     return (turned_parities(device)[:, None] * octant + tables.turns.T).contiguous()
 
 
-@functools.cache
+@cached_tensors()
 def collect_table(size: int, device: torch.device) -> torch.Tensor:
     """(8 U, 6) int64: transpose of `spread_table`, the six places where each row stands, in a fixed order."""
     spread = spread_table(size, device).reshape(-1, len(PERMUTATIONS))
@@ -83,7 +83,7 @@ def collect_table(size: int, device: torch.device) -> torch.Tensor:
     return places + torch.arange(len(PERMUTATIONS), device=device)
 
 
-@functools.cache
+@cached_tensors()
 def result_table(size: int, device: torch.device) -> torch.Tensor:
     """(8, U) int64: where each row of a filtered map's parity parts stands in the products, (parity R + representative) 6 + permutation."""
     tables = symmetry(size, device)

@@ -10,10 +10,11 @@ from typing import Any, NamedTuple
 
 import torch
 import warp as wp
+from torch.autograd.function import once_differentiable
 
 from samira_warp.constants import COVERED_ALPHA
 from samira_warp.kernels.brdf_lookup import brdf_slope_cosine, brdf_slope_roughness, find_brdf, read_brdf
-from samira_warp.kernels.cubemap import cell_count, cell_index, footprint, mip_table, project, project_adjoint
+from samira_warp.kernels.cubemap import FacePoint, cell_count, cell_index, footprint, mip_table, project, project_adjoint
 from samira_warp.kernels.cubemap_cell import blend_cell, cell_slope, look_up, read_cell
 from samira_warp.kernels.cubemap_lookup import level_moves, lower_level, pack_mips, texel_gradient
 from samira_warp.kernels.display import show, show_adjoint
@@ -101,6 +102,7 @@ class _Shade(torch.autograd.Function):
         return results
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, *grads: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
         *tensors, color = ctx.saved_tensors
         size, sizes, count, device = ctx.size, ctx.sizes, color.shape[0], color.device
@@ -275,6 +277,43 @@ def _diffuse_adjoint(
     places[m, 0] = wp.vec3(cell.x, cell.y, 1.0)
 
 
+@wp.struct
+class _Lookup:
+    """A trilinear lookup again: its value E_s, and the gradients by the place on the cube's face and by the level."""
+
+    light: wp.vec3
+    slope: wp.vec2
+    grad_level: wp.float32
+
+
+@wp.func
+def _look_up_again(
+    mips: wp.array[wp.vec3],
+    table: wp.array2d[wp.int32],
+    point: FacePoint,
+    level: wp.float32,
+    grad: wp.vec3,
+    m: wp.int32,
+    cells: wp.array2d[wp.int32],
+    places: wp.array2d[wp.vec3],
+) -> _Lookup:
+    """Repeat `look_up` for the gradient of its value, and note the cells of point m, for `texel_gradient`."""
+    lower, fraction = lower_level(level, table.shape[0])
+    result = _Lookup()
+    for slot in range(cells.shape[1]):
+        share = wp.where(slot == 0, 1.0 - fraction, fraction)
+        size = table[lower + slot, 0]
+        cell = footprint(point, size)
+        texels = read_cell(mips, table[lower + slot, 1], cell, size)
+        value = blend_cell(cell, texels)
+        result.light += share * value
+        result.slope += 0.5 * wp.float32(size) * share * cell_slope(cell, texels, grad)
+        result.grad_level += wp.where(slot == 0, -1.0, 1.0) * wp.dot(value, grad)
+        cells[m, slot] = table[lower + slot, 2] + cell_index(cell, size)
+        places[m, slot] = wp.vec3(cell.x, cell.y, share)
+    return result
+
+
 @wp.kernel(enable_backward=False)
 def _specular_adjoint(
     first: wp.int32,
@@ -320,29 +359,16 @@ def _specular_adjoint(
     r = 2.0 * cosine * n - v
     point = project(r)
     level = roughness[m] * wp.float32(levels - 1)
-    lower, fraction = lower_level(level, levels)
-    light = wp.vec3()
-    slope = wp.vec2()
-    grad_level = wp.float32(0.0)
-    for slot in range(cells.shape[1]):
-        share = wp.where(slot == 0, 1.0 - fraction, fraction)
-        size = table[lower + slot, 0]
-        cell = footprint(point, size)
-        texels = read_cell(mips, table[lower + slot, 1], cell, size)
-        value = blend_cell(cell, texels)
-        light += share * value
-        slope += 0.5 * wp.float32(size) * share * cell_slope(cell, texels, grad_e_s)
-        grad_level += wp.where(slot == 0, -1.0, 1.0) * wp.dot(value, grad_e_s)
-        cells[m, slot] = table[lower + slot, 2] + cell_index(cell, size)
-        places[m, slot] = wp.vec3(cell.x, cell.y, share)
-    grad_r = project_adjoint(r, point, slope[0], slope[1])
+    seen = _look_up_again(mips, table, point, level, grad_e_s, m, cells, places)
+    light = seen.light
+    grad_r = project_adjoint(r, point, seen.slope[0], seen.slope[1])
 
     grad_factor = response[m] * wp.dot(light, grad_color[m])
     grad_b = wp.vec2(f * grad_factor, grad_factor)
     grad_cosine = wp.dot(brdf_slope_cosine(brdf, place), grad_b) + 2.0 * wp.dot(grad_r, n)
     grad_roughness[m] = wp.dot(brdf_slope_roughness(brdf, place), grad_b)
     if level_moves(level, levels):
-        grad_roughness[m] += wp.float32(levels - 1) * grad_level
+        grad_roughness[m] += wp.float32(levels - 1) * seen.grad_level
     grad_specular[m] += b[0] * grad_factor
     grad_response[m] = wp.dot(light, grad_l_s)
     grad_normal[m] += 2.0 * cosine * grad_r + grad_cosine * v

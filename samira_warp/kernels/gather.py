@@ -10,6 +10,7 @@ from typing import Any
 
 import torch
 import warp as wp
+from torch.autograd.function import once_differentiable
 
 from samira_warp.errors import UserError
 from samira_warp.kernels.grouping import group_by
@@ -135,6 +136,7 @@ class _Gather(torch.autograd.Function):
         return result
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, grad_result: torch.Tensor) -> tuple[torch.Tensor, None]:
         table: GatherTable = ctx.table
         grad_values = grad_result.new_empty(table.sources, grad_result.shape[1])

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import torch
 import warp as wp
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from samira_warp.camera import Camera
 from samira_warp.constants import LOW_PASS, NEAR_PLANE
@@ -90,6 +91,7 @@ class _Project(torch.autograd.Function):
         return means2d, depths, conics, visible
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, grad_means2d: Tensor, grad_depths: Tensor, grad_conics: Tensor, _: None) -> tuple[Tensor | None, ...]:
         means, quaternions, scales, pose, visible = ctx.saved_tensors
         outputs = [torch.zeros_like(means), torch.zeros_like(quaternions), torch.zeros_like(scales)]

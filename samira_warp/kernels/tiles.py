@@ -23,6 +23,9 @@ from samira_warp.validation import check_tensor
 TILE = 16
 """Pixels along a tile's side: one AVX-512 register of float32 per row, and 256 GPU threads per tile."""
 
+ENTRIES_MAX = 2**30
+"""Intersections; sorting them wants twice the room, in 32-bit indices."""
+
 
 class TileBins(NamedTuple):
     """Intersections of N Gaussians with T = columns x rows tiles (row-major); I entries, or as many as the capacity.
@@ -71,31 +74,29 @@ def bin_tiles(projection: Projection, opacities: Tensor, *, width: int, height: 
     """
     count = projection.depths.shape[0]
     check_tensor("opacities", opacities, shape=(count,), device=projection.depths.device)
+    if capacity is not None and not (isinstance(capacity, int) and 0 <= capacity < ENTRIES_MAX):
+        raise UserError("capacity", expected=f"a whole number of at least 0 and less than {ENTRIES_MAX}", found=capacity)
     columns, rows = -(-width // TILE), -(-height // TILE)
     if max(columns, rows) >= 2**15:
         raise UserError("image", expected=f"fewer than {2**15 * TILE} pixels along each side", found=f"{width} x {height}")
     geometry = (projection.means2d.contiguous(), projection.conics.contiguous(), opacities.contiguous(), width, height, columns)
     covers = _cover(projection, geometry)
     order = covers.order
-    slot_offsets, record_offsets = _offsets(covers.counts[order]), _offsets(covers.counts > 0)
+    slot_ends, record_offsets = _offsets(covers.counts[order]), _offsets(covers.counts > 0).int()
+    unfilled = 0 if capacity is None else capacity
     if capacity is None:
-        capacity = int(slot_offsets[count])
-        if not 0 <= capacity < 2**30:
-            raise UserError("Gaussians", expected="fewer than 2^30 intersections with tiles", found="more")
-        unfilled = 0
-    else:
-        unfilled = capacity
-        slot_offsets.clamp_(max=capacity)
+        capacity = int(slot_ends[count])
+        if capacity >= ENTRIES_MAX:
+            raise UserError("Gaussians", expected=f"fewer than {ENTRIES_MAX} intersections with tiles", found=capacity)
+    slot_offsets = slot_ends.clamp(max=capacity).int()
 
-    # the radix sort wants twice the room; entries that nothing fills carry the tile number columns x rows, after all others
+    # the sort wants twice the room; entries that nothing fills carry the tile number columns x rows, after all others
     tiles, slots = (order.new_empty(2 * capacity) for _ in range(2))
     records_by_slot = order.new_empty(capacity)
     if unfilled:
         launch_range(_mark_unfilled, unfilled, columns * rows, tiles, slots, records_by_slot, grain=GRAIN)
     launch_range(_emit_tiles, count, *covers, *geometry, slot_offsets, record_offsets, tiles, slots, records_by_slot, grain=GRAIN)
-    if capacity:
-        with stream_of(order.device):
-            wp.utils.radix_sort_pairs(warp_array(tiles), warp_array(slots), capacity, end_bit=(columns * rows).bit_length())
+    _sort_pairs(tiles, slots, bits=(columns * rows).bit_length())
     records, tile_offsets = torch.empty_like(records_by_slot), order.new_empty(columns * rows + 1)
     launch_range(_close_lists, capacity + 1, columns * rows, tiles, slots, records_by_slot, records, tile_offsets, grain=GRAIN)
     # a copy, so that the sort's spare room is not kept
@@ -124,16 +125,23 @@ def _cover(projection: Projection, geometry: tuple[Any, ...]) -> _Covers:
     counts, boxes = order.new_empty(count), order.new_empty(count, 2, dtype=torch.int64)
     arguments = (projection.visible, projection.depths.contiguous(), *geometry, counts, boxes, keys, order)
     launch_range(_cover_tiles, count, *arguments, grain=GRAIN)
+    _sort_pairs(keys, order, bits=32)
+    # a copy, so that the sort's spare room is not kept
+    return _Covers(order[:count].clone(), counts, boxes)
+
+
+def _sort_pairs(keys: Tensor, values: Tensor, *, bits: int) -> None:
+    """Sort the first half of (2 N,) keys and values in place, stably; the other half is room to work in."""
+    count = len(keys) // 2
     if count:
         with stream_of(keys.device):
-            wp.utils.radix_sort_pairs(warp_array(keys), warp_array(order), count)
-    return _Covers(order[:count], counts, boxes)
+            wp.utils.radix_sort_pairs(warp_array(keys), warp_array(values), count, end_bit=bits)
 
 
 def _offsets(counts: Tensor) -> Tensor:
-    """(N + 1,) int32, where each of N things of those sizes begins, and the sum."""
-    offsets = torch.zeros(len(counts) + 1, dtype=torch.int32, device=counts.device)
-    torch.cumsum(counts, dim=0, dtype=torch.int32, out=offsets[1:])
+    """(N + 1,) int64, where each of N things of those sizes begins, and the sum."""
+    offsets = torch.zeros(len(counts) + 1, dtype=torch.int64, device=counts.device)
+    torch.cumsum(counts, dim=0, out=offsets[1:])
     return offsets
 
 
@@ -201,7 +209,8 @@ def _cover_tiles(
             for column in range(box[0], box[2]):
                 touched = wp.int64(_touches_tile(mean, conic, sigma, column, row, width, height))
                 count += wp.int32(touched)
-                mask = mask | touched << bit
+                # beyond 64 tiles the mask means nothing, but the shift has to stay defined
+                mask = mask | touched << wp.min(bit, wp.int64(63))
                 bit += wp.int64(1)
         boxes[i, 0] = _pack_box(box)
         boxes[i, 1] = mask

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import torch
 import warp as wp
+from torch.autograd.function import once_differentiable
 
 from samira_warp.constants import DEGENERATE_TRIANGLE
 from samira_warp.errors import UserError
@@ -101,6 +102,7 @@ class _TriangleFrames(torch.autograd.Function):
         return rotation, translation, scale
 
     @staticmethod
+    @once_differentiable
     def backward(ctx: Any, *grads: torch.Tensor) -> tuple[torch.Tensor, None]:
         (vertices,) = ctx.saved_tensors
         topology: MeshTopology = ctx.topology

@@ -6,10 +6,10 @@ roughness and n . v only. The table is sampled on nodes, its borders included, s
 
 from __future__ import annotations
 
-import functools
-
 import numpy as np
 import torch
+
+from samira_warp.caching import cached_tensors
 
 BRDF_SIZE = 96
 """Nodes along each axis of the table; the error against quadrature is tested to be below 1e-3."""
@@ -22,7 +22,7 @@ _GRAZING = 1e-6
 """n . v and alpha at the table's zero nodes: the limits are finite, 0 / 0 is not."""
 
 
-@functools.cache
+@cached_tensors()
 def brdf_table(device: torch.device) -> torch.Tensor:
     """(BRDF_SIZE, BRDF_SIZE, 2) float32 (B_x, B_y) at roughness row / (BRDF_SIZE - 1) and n . v = (column / (BRDF_SIZE - 1))^2.
 

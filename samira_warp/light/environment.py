@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from numbers import Real
 from pathlib import Path
 from typing import Literal
 
@@ -12,11 +13,10 @@ import torch
 from samira_warp.camera import Camera
 from samira_warp.errors import UserError
 from samira_warp.images import write_exr
-from samira_warp.kernels.cubemap import texel_solid_angles
+from samira_warp.kernels.cubemap import check_cubemap, texel_solid_angles
 from samira_warp.light.cross import cube_to_cross
 from samira_warp.light.filtered import FilteredLight
 from samira_warp.light.radiance_map import RadianceMap
-from samira_warp.validation import check_tensor
 
 DIFFUSE_FILE = "light_diffuse.exr"
 SPECULAR_FILE = "light_specular.exr"
@@ -32,7 +32,7 @@ Exposure = float | Literal["auto"]
 """A factor on the light, or the one at which the luminance of the irradiance, averaged over all directions, is 1."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Environment:
     """A distant light all around.
 
@@ -66,14 +66,19 @@ class Environment:
             path: The map; the diffuse map where ``specular`` is given; or an avatar's folder, for its learned light.
             specular: The map that shiny surfaces and the camera see; default the same as ``path``.
             rotate: Degrees: direction d sees column 0.5 + atan2(d.x, -d.z) / (2 pi) + rotate / 360 of a panorama.
-            exposure: Factor on the radiance, or auto.
+            exposure: Factor of at least 0 on the radiance, or auto.
             size: Texels along a face of the resampled map, divisible by 16.
             ldr: Also take 8-bit pictures, decoded from sRGB.
 
         Raises:
-            UserError: A file is missing, unreadable, 8-bit, of another shape, or holds values that are not finite; or auto is asked of a
-                black map.
+            UserError: An argument is out of its range; a file is missing, unreadable, 8-bit, of another shape, or holds values that are
+                not finite; or auto is asked of a black map.
         """
+        check_exposure(exposure)
+        if not math.isfinite(rotate):
+            raise UserError("rotate", expected="degrees", found=rotate)
+        if not isinstance(size, int) or size <= 0 or size % SPECULAR_MULTIPLE:
+            raise UserError("size", expected=f"a positive multiple of {SPECULAR_MULTIPLE}", found=size)
         if specular is None and Path(path).is_dir():
             path, specular = learned_pair(path)
         diffuse_map = replace(RadianceMap.read(path, ldr=ldr), rotate=rotate)
@@ -84,9 +89,15 @@ class Environment:
 
     @classmethod
     def from_cubemaps(cls, diffuse: torch.Tensor, specular: torch.Tensor) -> Environment:
-        """A light of two maps (6, S, S, 3) of linear radiance, such as a learned one: S even, and divisible by 16 for ``specular``."""
-        check_tensor("diffuse", diffuse, shape=(6, "S", "S", 3))
-        check_tensor("specular", specular, shape=(6, "S", "S", 3))
+        """A light of two maps (6, S, S, 3) of linear radiance, such as a learned one: S even, and divisible by 16 for ``specular``.
+
+        Raises:
+            UserError: A map is of another shape or dtype, or they are on two devices.
+        """
+        for name, cubemap, multiple in (("diffuse", diffuse, DIFFUSE_MULTIPLE), ("specular", specular, SPECULAR_MULTIPLE)):
+            check_cubemap(name, cubemap, channels=3, device=diffuse.device)
+            if cubemap.shape[1] % multiple:
+                raise UserError(name, expected=f"faces whose size is a multiple of {multiple}", found=cubemap.shape[1])
         return cls(diffuse, specular)
 
     def save(self, folder: Path) -> None:
@@ -113,8 +124,9 @@ class Environment:
         """The light times a factor, or at the exposure ``auto``.
 
         Raises:
-            UserError: The factor of a light without light is asked for; ``name`` is what it is called.
+            UserError: The exposure is none, or the automatic one of a light without light is asked for; ``name`` is what it is called.
         """
+        check_exposure(exposure)
         if exposure == "auto":
             luminance = float(self.mean_irradiance() @ self.diffuse.new_tensor(LUMINANCE, dtype=torch.float64))
             if luminance <= 0.0:
@@ -132,6 +144,12 @@ class Environment:
         """The same light on ``device``."""
         backdrop = None if self.backdrop is None else self.backdrop.to(device)
         return Environment(self.diffuse.to(device), self.specular.to(device), backdrop)
+
+
+def check_exposure(exposure: Exposure, *, name: str = "exposure") -> None:
+    """Raise UserError unless ``exposure`` is auto or a finite factor of at least 0; ``name`` is what it is called."""
+    if exposure != "auto" and not (isinstance(exposure, Real) and 0.0 <= exposure < math.inf):
+        raise UserError(name, expected="a factor of at least 0, or auto", found=exposure)
 
 
 def learned_pair(folder: str | Path) -> tuple[Path, Path]:

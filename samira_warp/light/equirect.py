@@ -45,38 +45,12 @@ def equirect_to_cube(equirect: torch.Tensor, *, size: int, rotate: float = 0.0) 
     samples = max(2, math.ceil(_SAMPLES_PER_PIXEL * equirect.shape[1] / (4 * size)))
     directions = texel_directions(size, device=equirect.device, supersample=samples).view(FACES, size, samples, size, samples, 3)
     areas = texel_solid_angles(size * samples, device=equirect.device).view(size, samples, size, samples)
-    padded = _wrap(equirect)
+    padded = wrap_equirect(equirect)
     total = equirect.new_zeros(FACES, size, size, equirect.shape[2])
     for j in range(samples):
         for i in range(samples):
             total = total + areas[:, j, :, i, None] * _look_up(padded, directions[:, :, j, :, i], rotate=rotate)
     return total / areas.sum(dim=(1, 3))[..., None]
-
-
-def picture_equirect(equirect: torch.Tensor, directions: torch.Tensor, *, rotate: float = 0.0) -> torch.Tensor:
-    """Look a panorama up for a picture of it: the cubic B-spline of its pixels, as soft as a lens, and no pixel shows however enlarged.
-
-    Args:
-        equirect: (H, W, C) float32.
-        directions: (..., 3) float32, unit.
-        rotate: Degrees by which the light turns, as in the file's head.
-
-    Returns:
-        (..., C) float32, within the range of the pixels.
-    """
-    check_tensor("equirect", equirect, shape=("H", "W", "C"))
-    height, width = equirect.shape[:2]
-    u, v = direction_to_equirect(directions, rotate=rotate)
-    # Among the padded pixels, the four nearest a point begin one and a half before it, and two pixels of border come first.
-    x, y = u * width + 0.5, v * height + 0.5
-    column, row = x.floor(), y.floor()
-    across, down = _spline_weights(x - column), _spline_weights(y - row)
-    padded = _wrap(equirect, border=2)
-    seen = equirect.new_zeros(*directions.shape[:-1], equirect.shape[2])
-    for j in range(4):
-        for i in range(4):
-            seen += (down[..., j] * across[..., i])[..., None] * padded[row.long() + j, column.long() + i]
-    return seen
 
 
 def cube_to_equirect(cubemap: torch.Tensor, *, height: int) -> torch.Tensor:
@@ -113,6 +87,17 @@ def equirect_directions(height: int, *, device: torch.device | str = "cpu") -> t
     return torch.stack(directions, dim=-1).to(torch.float32)
 
 
+def wrap_equirect(equirect: torch.Tensor, *, border: int = 1) -> torch.Tensor:
+    """(H + 2 border, W + 2 border, C): beyond the seam comes the other end of the row, beyond a pole its other side."""
+    height, width = equirect.shape[:2]
+    rows = torch.arange(-border, height + border, device=equirect.device)
+    columns = torch.arange(-border, width + border, device=equirect.device)
+    over_pole = (rows < 0) | (rows >= height)
+    rows = torch.where(rows < 0, -1 - rows, torch.where(rows >= height, 2 * height - 1 - rows, rows)).clamp(0, height - 1)
+    columns = (columns + over_pole[:, None] * (width // 2)) % width
+    return equirect[rows[:, None], columns]
+
+
 def _shrink(equirect: torch.Tensor, *, columns: int) -> torch.Tensor:
     """Average whole blocks of pixels, weighted by solid angle, while at least ``columns`` columns are left."""
     height, width, channels = equirect.shape
@@ -136,21 +121,3 @@ def _look_up(padded: torch.Tensor, directions: torch.Tensor, *, rotate: float) -
     pixels = padded.permute(2, 0, 1)[None]
     seen = torch.nn.functional.grid_sample(pixels, grid, padding_mode="border", align_corners=False)
     return seen[0, :, 0].T.view(*directions.shape[:-1], -1)
-
-
-def _spline_weights(place: torch.Tensor) -> torch.Tensor:
-    """(..., 4) weights of the uniform cubic B-spline for its four nearest knots, ``place`` (...) in 0..1 between the middle two."""
-    rest = 1.0 - place
-    inner = (4.0 - 6.0 * place**2 + 3.0 * place**3, 4.0 - 6.0 * rest**2 + 3.0 * rest**3)
-    return torch.stack([rest**3, *inner, place**3], dim=-1) / 6.0
-
-
-def _wrap(equirect: torch.Tensor, *, border: int = 1) -> torch.Tensor:
-    """Pixels of border: the other side of the seam left and right, the other side of the pole above and below."""
-    height, width = equirect.shape[:2]
-    rows = torch.arange(-border, height + border, device=equirect.device)
-    columns = torch.arange(-border, width + border, device=equirect.device)
-    over_pole = (rows < 0) | (rows >= height)
-    rows = torch.where(rows < 0, -1 - rows, torch.where(rows >= height, 2 * height - 1 - rows, rows)).clamp(0, height - 1)
-    columns = (columns + over_pole[:, None] * (width // 2)) % width
-    return equirect[rows[:, None], columns]

@@ -19,7 +19,7 @@ _SHRINK = (2, 2, 4, 4, 8, 8, 8, 8)
 """The base's size over that of the filtered mips."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class FilteredLight:
     """A pure function of the radiance.
 

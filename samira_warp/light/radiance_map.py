@@ -12,12 +12,13 @@ from samira_warp.camera import Camera
 from samira_warp.errors import UserError
 from samira_warp.images import Channels, is_linear, read_channels
 from samira_warp.kernels.cubemap_lookup import sample_cubemap
+from samira_warp.kernels.equirect_lookup import picture_equirect
 from samira_warp.light.color import decode_srgb
 from samira_warp.light.cross import cross_to_cube, is_cross, resample_cube
-from samira_warp.light.equirect import equirect_to_cube, picture_equirect, turn_directions
+from samira_warp.light.equirect import equirect_to_cube, turn_directions
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class RadianceMap:
     """A map at its own resolution.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import torch
 
+from samira_warp.kernels.cubemap import check_cubemap
 from samira_warp.kernels.deferred_shading import Shaded, shade_gbuffer
 from samira_warp.light.brdf import brdf_table
 from samira_warp.light.color import ColorSpace
@@ -52,7 +53,11 @@ def shade(
     Raises:
         UserError: A wrong shape, dtype or device.
     """
+    check_tensor("albedo", albedo, shape=("M", 3))
+    check_cubemap("light.irradiance", light.irradiance, channels=3)
     device, count = light.irradiance.device, albedo.shape[0]
+    for index, mip in enumerate(light.specular):
+        check_cubemap(f"light.specular[{index}]", mip, channels=3, device=device)
     surface = {
         "albedo": albedo,
         "normal": normal,
@@ -67,14 +72,15 @@ def shade(
         check_tensor(name, values, shape=(count, 3 if name in ("albedo", "normal", "view") else 1), device=device)
     if isinstance(background, torch.Tensor):
         check_tensor("background", background, shape=(count, 3), device=device)
+        background = background.detach()
     else:
-        background = torch.full((1, 3), background, device=device)
+        background = torch.full((1, 3), float(background), device=device)
     return shade_gbuffer(
         **surface,
         irradiance=light.irradiance,
         mips=light.specular,
         brdf=brdf_table(device),
         background=background,
-        exposure=exposure,
+        exposure=float(exposure),
         encoded=color_space == "srgb",
     )

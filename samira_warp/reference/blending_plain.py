@@ -18,10 +18,12 @@ SIGMA_MAX = wp.constant(5.55)
 """ln 255 and a little: beyond it no opacity reaches ALPHA_MIN, and the exponential is not worth taking."""
 
 
-def blend(means2d: Tensor, conics: Tensor, opacities: Tensor, features: Tensor, bins: TileBins, *, width: int, height: int) -> Blended:
-    """As `samira_warp.kernels.blending.blend`, without gradients."""
+def blend(
+    means2d: Tensor, conics: Tensor, opacities: Tensor, features: Tensor, bins: TileBins, gaussians: Tensor, *, width: int, height: int
+) -> Blended:
+    """As `samira_warp.kernels.blending.blend`, without gradients; ``gaussians`` are those of ``bins``, looked up once."""
     blended = Blended(features.new_zeros(height, width, features.shape[1]), features.new_zeros(height, width))
-    launch(_blend, _threads(bins), means2d, conics, opacities, features, bins.tile_offsets, bins.gaussians, bins.columns, *blended)
+    launch(_blend, _threads(bins), means2d, conics, opacities, features, bins.tile_offsets, gaussians, bins.columns, *blended)
     return blended
 
 
@@ -31,6 +33,7 @@ def blend_adjoint(
     opacities: Tensor,
     features: Tensor,
     bins: TileBins,
+    gaussians: Tensor,
     blended: Blended,
     grad_features: Tensor,
     grad_transmittance: Tensor,
@@ -39,7 +42,7 @@ def blend_adjoint(
     inputs = (means2d, conics, opacities, features)
     gradients = tuple(torch.zeros_like(tensor) for tensor in inputs)
     images = (*blended, grad_features, grad_transmittance)
-    launch(_blend_adjoint, _threads(bins), *inputs, bins.tile_offsets, bins.gaussians, bins.columns, *images, *gradients)
+    launch(_blend_adjoint, _threads(bins), *inputs, bins.tile_offsets, gaussians, bins.columns, *images, *gradients)
     return gradients
 
 

@@ -29,6 +29,7 @@ class Background:
         """
         self._name, self._avatar = name, avatar
         self._image: np.ndarray | None = None
+        self._picture: torch.Tensor | None = None
         if name != "env" and name not in GREYS:
             if not Path(name).is_file():
                 raise UserError("--background", expected="white, black, env or an image file", found=repr(name))
@@ -58,9 +59,14 @@ class Background:
         if view is not None:
             return view.behind(camera, rotate=rotate)
         if self._image is not None:
-            picture = torch.from_numpy(_fill(self._image, width=camera.width, height=camera.height))
-            return picture.to(camera.world_to_camera.device)
+            return self._filled(camera.width, camera.height, camera.world_to_camera.device)
         return GREYS[self._name]
+
+    def _filled(self, width: int, height: int, device: torch.device) -> torch.Tensor:
+        """The picture at a frame's size, kept for the next frame, which is seldom of another."""
+        if self._picture is None or self._picture.shape[:2] != (height, width) or self._picture.device != device:
+            self._picture = torch.from_numpy(_fill(self._image, width=width, height=height)).to(device)
+        return self._picture
 
 
 def _fill(image: np.ndarray, *, width: int, height: int) -> np.ndarray:

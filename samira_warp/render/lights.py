@@ -21,10 +21,6 @@ SHEET_SIZE = 128
 0.02 of 255 levels on average, and by 3 at most."""
 
 
-_CHECK_SIZE = 16
-"""Texels along a face of a map that is only looked at, to see whether it can be used: next to no work."""
-
-
 def one_light(config: RenderConfig, avatar: Avatar) -> Environment:
     """The light of an image sequence: the map or the pair that --env names, else the learned light.
 
@@ -57,14 +53,10 @@ def sheet_paths(config: RenderConfig) -> list[Path] | None:
     return paths
 
 
-def check_maps(config: RenderConfig, paths: list[Path]) -> None:
-    """Read every map of a contact sheet once, so that a broken one is found before the work on the others begins.
-
-    Raises:
-        UserError: A map cannot be used.
-    """
-    for path in paths:
-        Environment.load(path, exposure=config.exposure, ldr=config.ldr, size=_CHECK_SIZE)
+def sheet_labels(paths: list[Path]) -> list[str]:
+    """What the pictures of a contact sheet are called: the maps' names, with the suffix where two would be called the same."""
+    stems = [path.stem for path in paths]
+    return [path.name if stems.count(path.stem) > 1 else path.stem for path in paths]
 
 
 def sheet_light(config: RenderConfig, path: Path) -> Environment:

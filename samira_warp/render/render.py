@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -18,12 +19,13 @@ from samira_warp.devices import pick_device
 from samira_warp.errors import UserError
 from samira_warp.images import to_uint8, write_exr, write_png
 from samira_warp.light import Environment, FilteredLight
+from samira_warp.light.environment import check_exposure
 from samira_warp.light.radiance_map import RadianceMap
 from samira_warp.render.background import Background
 from samira_warp.render.config import RenderConfig, material_edits
 from samira_warp.render.contact_sheet import contact_sheet
 from samira_warp.render.layers import LayerImage, layer_image
-from samira_warp.render.lights import check_maps, one_light, sheet_light, sheet_paths
+from samira_warp.render.lights import one_light, sheet_labels, sheet_light, sheet_paths
 from samira_warp.render.sources import select_frames
 from samira_warp.render.turntable import plan_shots
 from samira_warp.render.video import VideoWriter
@@ -57,6 +59,18 @@ class Light(NamedTuple):
     seen: RadianceMap | None
 
 
+class SheetLight(NamedTuple):
+    """A light as it is used for one picture.
+
+    Attributes:
+        environment: The light, without its map.
+        behind: Display values behind the head, (H, W, 3) or a grey.
+    """
+
+    environment: Environment
+    behind: torch.Tensor | float
+
+
 class Stage(NamedTuple):
     """The avatar as it is to be shown.
 
@@ -83,8 +97,11 @@ class Stage(NamedTuple):
 
     def relight(self, view: View, light: Light, *, rotate: float) -> Rendering:
         """Shade a view under a light that is turned by so many degrees, and put the background behind it."""
-        behind = self.background.behind(view.camera, light.seen, rotate=rotate)
-        return self.avatar.shade(view.motion, view.gbuffer, view.camera, light.filtered, rotate=rotate, background=behind)
+        return self.shade(view, light.filtered, self.background.behind(view.camera, light.seen, rotate=rotate), rotate=rotate)
+
+    def shade(self, view: View, light: FilteredLight, behind: torch.Tensor | float, *, rotate: float) -> Rendering:
+        """Shade a view and put display values behind it."""
+        return self.avatar.shade(view.motion, view.gbuffer, view.camera, light, rotate=rotate, background=behind)
 
 
 @torch.no_grad()
@@ -115,9 +132,9 @@ def render(config: RenderConfig) -> int:
 
 
 def _check_numbers(config: RenderConfig) -> None:
+    check_exposure(config.exposure, name="--exposure")
     ranges = {
         "expression-gain": (math.isfinite(config.expression_gain), "a number"),
-        "exposure": (config.exposure == "auto" or 0.0 < config.exposure < math.inf, "a positive factor, or auto"),
         "rotate": (math.isfinite(config.rotate), "degrees"),
         "turntable": (config.turntable is None or 0.0 < config.turntable < math.inf, "a positive number of seconds"),
         "resolution": (config.resolution is None or config.resolution > 0, "a positive number of pixels"),
@@ -153,17 +170,24 @@ def _render_sequence(config: RenderConfig, stage: Stage, frames: list[DrivingFra
 
 
 def _render_sheet(config: RenderConfig, stage: Stage, frame: DrivingFrame, maps: list[Path]) -> int:
-    check_maps(config, maps)
     view = stage.view(frame)
+    lights = [_sheet_light(config, stage, view.camera, path) for path in maps]
     pictures: dict[str, list[np.ndarray]] = {layer: [] for layer in config.layers}
-    for path in tqdm(maps, unit="light", dynamic_ncols=True):
-        rendering = stage.relight(view, stage.light(sheet_light(config, path)), rotate=config.rotate)
+    for light in tqdm(lights, unit="light", dynamic_ncols=True):
+        rendering = stage.shade(view, light.environment.filtered(), light.behind, rotate=config.rotate)
         for layer, row in pictures.items():
             row.append(_display(layer_image(rendering, layer)))
     _make_folders(config)
     for layer, row in pictures.items():
-        write_png(config.out / layer / f"{SHEET_NAME}.png", contact_sheet(row, [path.stem for path in maps]))
+        write_png(config.out / layer / f"{SHEET_NAME}.png", contact_sheet(row, sheet_labels(maps)))
     return 1
+
+
+def _sheet_light(config: RenderConfig, stage: Stage, camera: Camera, path: Path) -> SheetLight:
+    """Read a light of a contact sheet. All are read before the work on any begins, and none keeps its map, which may be large."""
+    environment = sheet_light(config, path).to(camera.world_to_camera.device)
+    behind = stage.background.behind(camera, stage.background.view_of(environment), rotate=config.rotate)
+    return SheetLight(replace(environment, backdrop=None), behind)
 
 
 def _make_folders(config: RenderConfig) -> None:

@@ -73,6 +73,13 @@ def test_raster_tables_leave_out_the_other_devices_yardstick(monkeypatch, capsys
     assert [line.split()[0] for line in dispatch.splitlines()] == ["threads", "1", "2"]
 
 
+def test_the_plain_kernels_stop_when_their_time_is_up_and_say_so(monkeypatch, capsys):
+    monkeypatch.setattr(raster, "PLAIN_BUDGET", 1e-9)
+    rows = list(raster.run(torch.device("cpu"), TINY))
+    assert [row.plain_forward_ms is None for row in rows] == [False, False, True, True]
+    assert capsys.readouterr().err.startswith("plain kernels left out")
+
+
 @torch.no_grad()
 def test_the_gbuffers_channels_are_counted_right():
     subject = make_avatar("cpu", device="cpu")
@@ -92,7 +99,8 @@ def test_avatar_rows_time_only_what_is_not_cached(brief):
         "exposure": ["shading"],
     }
     for row in rows:
-        assert row["total_ms"] == pytest.approx(sum(row[f"{stage}_ms"] for stage in avatar.STAGES[:-1]))
+        # whole frames, timed once here: their stages and what is between them
+        assert row["total_ms"] > sum(row[f"{stage}_ms"] for stage in avatar.STAGES[:-1])
         assert row["frames_per_second"] == pytest.approx(1e3 / row["total_ms"])
 
 
@@ -134,6 +142,19 @@ def test_without_gsplat_there_are_no_figures_and_a_broken_one_says_why(device, m
     scene = make_scene(50, 40, device)
     monkeypatch.setattr(gsplat_peer, "_gsplat", lambda: None)
     assert gsplat_peer.gsplat_times(scene, 3) is None
+    assert capsys.readouterr().err == ""
     monkeypatch.setattr(gsplat_peer, "_gsplat", lambda: types.ModuleType("gsplat"))
     assert gsplat_peer.gsplat_times(scene, 3) is None
-    assert capsys.readouterr().err.startswith("gsplat left out: ")
+    assert capsys.readouterr().err.startswith("gsplat left out: AttributeError")
+
+
+@pytest.mark.parametrize("error", [AssertionError(), ImportError("no CUDA"), KeyError("means2d"), TypeError("packed")])
+@pytest.mark.parametrize("where", ["import", "call"])
+def test_whatever_gsplat_raises_the_benchmark_goes_on(monkeypatch, capsys, error, where):
+    def fail(*_, **__):
+        raise error
+
+    broken = types.SimpleNamespace(rasterization=fail)
+    monkeypatch.setattr(gsplat_peer, "_gsplat", fail if where == "import" else lambda: broken)
+    assert gsplat_peer.gsplat_times(make_scene(50, 40, torch.device("cpu")), 3) is None
+    assert capsys.readouterr().err.startswith(f"gsplat left out: {type(error).__name__}")

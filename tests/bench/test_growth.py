@@ -2,8 +2,11 @@ import importlib.util
 import sys
 
 import pytest
+import torch
 from subjects import TESTS
 
+from samira_warp.bench import raster
+from samira_warp.constants import ALPHA_MIN
 from samira_warp.images import read_image
 
 
@@ -32,6 +35,27 @@ def test_table_and_plot(tool, monkeypatch, tmp_path, capsys):
     assert {len(cells) for cells in (header, rule, *rows)} == {len(header)}
     intersections = [int(cells[6]) for cells in rows]
     assert intersections[1] > 1.5 * intersections[0]
-    # half of 200 are behind the camera: as many intersections as 100 have, give or take their sizes
+    # half of 200 cannot be seen: as many intersections as 100 have, give or take their sizes
     assert intersections[7] < 0.7 * intersections[1]
     assert read_image(tmp_path / "growth.png", channels=3).shape == (900, 1200, 3)
+
+
+def test_culled_gaussians_are_behind_beside_and_too_faint(tool):
+    scene = tool._scene(tool.Point(100, 60, 64, 3), torch.device("cpu"))
+    behind = scene.means[:, 2] < 0
+    faint = scene.opacities < ALPHA_MIN
+    # the image is 1 / 50 of the distance wide
+    beside = (scene.means[:, 0] / scene.means[:, 2].abs()).abs() > 0.5 / 50
+    assert [int(kind.sum()) for kind in (behind, beside, faint)] == [20, 20, 20]
+    culled = behind | beside | faint
+    assert culled.sum() == 60
+    bins = raster._prepare(scene)[1]
+    assert not culled[bins.gaussians.long()].any()
+
+
+@pytest.mark.parametrize(("out", "named"), [("growth.jpg", ".png"), ("growth", ".png"), ("missing/growth.png", "missing")])
+def test_a_file_that_cannot_be_written_is_refused_before_the_work(tool, tmp_path, monkeypatch, capsys, out, named):
+    monkeypatch.setattr(tool, "_measure", lambda *_: pytest.fail("it measures"))
+    arguments = ["--out", str(tmp_path / out), "--device", "cpu"]
+    assert tool.run(tool.main, tool.GrowthConfig, program="raster_growth", arguments=arguments) == 2
+    assert named in capsys.readouterr().err

@@ -81,8 +81,8 @@ def test_matches_the_plain_kernels(generator, channels):
     weights = make_weights(generator, "cpu", channels)
     bins = make_bins(projection, inputs[2])
     found, gradients = with_gradients(lambda *tensors: blend(*tensors, bins, width=WIDTH, height=HEIGHT), inputs, weights)
-    plain = blending_plain.blend(*inputs, bins, width=WIDTH, height=HEIGHT)
-    plain_gradients = blending_plain.blend_adjoint(*inputs, bins, plain, *weights)
+    plain = blending_plain.blend(*inputs, bins, bins.gaussians, width=WIDTH, height=HEIGHT)
+    plain_gradients = blending_plain.blend_adjoint(*inputs, bins, bins.gaussians, plain, *weights)
     # two exponentials of 2e-7 relative error; the plain form of sigma is three terms of up to some 300 that cancel, 2e-5 where alpha
     # is a tenth; no pair of this scene lies that close to a threshold
     for one, other in zip(found, plain, strict=True):
@@ -166,10 +166,10 @@ def test_many_gaussians_in_one_tile(generator):
     bins = make_bins(projection, inputs[2])
     assert bins.tile_offsets.diff().max() > 15000
     found, gradients = with_gradients(lambda *tensors: blend(*tensors, bins, width=WIDTH, height=HEIGHT), inputs, weights)
-    plain = blending_plain.blend(*inputs, bins, width=WIDTH, height=HEIGHT)
+    plain = blending_plain.blend(*inputs, bins, bins.gaussians, width=WIDTH, height=HEIGHT)
     # 1e3 and more terms per pixel, and alphas of which many lie near 1/255
     assert relative(found.features, plain.features.double()) < 1e-4
-    for one, other in zip(gradients, blending_plain.blend_adjoint(*inputs, bins, plain, *weights), strict=True):
+    for one, other in zip(gradients, blending_plain.blend_adjoint(*inputs, bins, bins.gaussians, plain, *weights), strict=True):
         assert relative(one, other.double()) < 2e-2
 
 

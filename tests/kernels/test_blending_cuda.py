@@ -6,7 +6,7 @@ import pkgutil
 import pytest
 import torch
 import warp as wp
-from kernels.test_rasterizer import make_camera, make_scene
+from kernels.scenes import cloud, turned_camera
 
 from samira_warp import kernels
 from samira_warp.kernels.rasterizer import rasterize
@@ -46,8 +46,8 @@ class Job:
 
     def __init__(self, seed, device, channels=4):
         generator = torch.Generator().manual_seed(seed)
-        self.inputs = [tensor.requires_grad_() for tensor in make_scene(generator, device, count=400, channels=channels)]
-        self.camera = make_camera(device, WIDTH, HEIGHT)
+        self.inputs = [tensor.requires_grad_() for tensor in cloud(generator, device, count=400, channels=channels)]
+        self.camera = turned_camera(device, WIDTH, HEIGHT)
         shapes = ((HEIGHT, WIDTH, channels), (HEIGHT, WIDTH))
         self.weights = [torch.randn(shape, generator=generator).to(device) for shape in shapes]
 

@@ -133,7 +133,7 @@ def test_every_linear_operator_has_its_exact_adjoint(device, generator):
     assert is_adjoint(lambda x: cube_to_equirect(x, height=12), cubemap, generator)
 
 
-def test_same_bits_for_any_threads_run_and_pass(device, generator):
+def test_same_bits_for_any_threads_run_and_pass(device, generator, use_threads):
     mips = tuple(torch.rand(6, size, size, 3, generator=generator).to(device).requires_grad_() for size in (16, 8))
     directions = random_directions(20000, generator).float().to(device).requires_grad_()
     levels = torch.rand(20000, generator=generator).to(device).requires_grad_()
@@ -146,14 +146,10 @@ def test_same_bits_for_any_threads_run_and_pass(device, generator):
         assert all(torch.equal(a, b) for a, b in zip(first, second, strict=True))
         return result, *first
 
-    threads = torch.get_num_threads()
-    try:
-        torch.set_num_threads(1)
-        one = run()
-        torch.set_num_threads(2)
-        two = run()
-    finally:
-        torch.set_num_threads(threads)
+    use_threads(1)
+    one = run()
+    use_threads(2)
+    two = run()
     assert all(torch.equal(a, b) for a, b in zip(one, two, strict=True))
 
 

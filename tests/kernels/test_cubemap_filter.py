@@ -5,7 +5,7 @@ import torch
 
 from samira_warp.errors import UserError
 from samira_warp.kernels.cubemap import texel_index, texel_points
-from samira_warp.kernels.cubemap_filter import Lobe, _sum_over_texels, irradiance, prefilter
+from samira_warp.kernels.cubemap_filter import CHANNELS_MAX, Lobe, _sum_over_texels, irradiance, prefilter
 from samira_warp.kernels.cubemap_lookup import sample_cubemap
 from samira_warp.reference import filtering as reference
 
@@ -158,22 +158,25 @@ def test_same_bits_every_time(device, generator, weights):
     assert all(torch.equal(a, b) for a, b in zip(run(), run(), strict=True))
 
 
-def test_a_large_map_has_the_same_bits_for_any_number_of_threads(generator, monkeypatch):
+def test_a_large_map_has_the_same_bits_for_any_number_of_threads(generator, monkeypatch, use_threads):
     monkeypatch.setattr("samira_warp.kernels.cubemap_filter._CACHED_WEIGHTS", 0)
     base, upstream = torch.rand(6, 32, 32, 3, generator=generator).requires_grad_(), torch.rand(6, 16, 16, 3, generator=generator)
-    threads = torch.get_num_threads()
     results = []
-    try:
-        for count in (1, 2):
-            torch.set_num_threads(count)
-            result = prefilter(base, ladder=((0.25, 16),))[1]
-            results.append((result, *torch.autograd.grad(result, base, upstream)))
-    finally:
-        torch.set_num_threads(threads)
+    for count in (1, 2):
+        use_threads(count)
+        result = prefilter(base, ladder=((0.25, 16),))[1]
+        results.append((result, *torch.autograd.grad(result, base, upstream)))
     assert all(torch.equal(a, b) for a, b in zip(*results, strict=True))
 
 
+def test_as_many_channels_as_there_may_be(generator, weights):
+    base = torch.rand(6, 8, 8, CHANNELS_MAX, generator=generator)
+    assert torch.allclose(irradiance(base, size=4), reference.irradiance(base.double(), size=4).float(), rtol=1e-4)
+
+
 def test_bad_arguments_are_refused():
+    with pytest.raises(UserError, match=r"at most 32 channels, found 33"):
+        irradiance(torch.zeros(6, 8, 8, 33))
     with pytest.raises(UserError, match="even"):
         irradiance(torch.zeros(6, 8, 8, 3), size=5)
     with pytest.raises(UserError, match="even"):

@@ -6,8 +6,8 @@ import sys
 
 import pytest
 import torch
+from kernels.scenes import block, straight_camera
 
-from samira_warp.camera import Camera
 from samira_warp.constants import NEAR_PLANE
 from samira_warp.kernels.projection import project
 from samira_warp.kernels.rasterizer import rasterize
@@ -16,22 +16,6 @@ from samira_warp.reference import blending_plain
 from samira_warp.reference.rasterizer import rasterize as reference_rasterize
 
 CHANNELS = 3
-
-
-def make_camera(device, width, height, focal=60.0):
-    """At the origin, looking along z."""
-    return Camera(torch.eye(4, device=device), focal, focal, width / 2, height / 2, width, height)
-
-
-def make_scene(generator, device, count, *, extent=(0.3, 0.3), scale=0.03, opacity=(0.0, 1.0)):
-    """Gaussians about the point at one metre, up to ``extent`` metres to the sides and 0.5 to the back and front."""
-    place = 2 * torch.rand(count, 3, generator=generator) - 1
-    means = place * torch.tensor([*extent, 0.5]) + torch.tensor([0.0, 0.0, 1.0])
-    quaternions = torch.randn(count, 4, generator=generator)
-    scales = scale * torch.exp(0.6 * torch.randn(count, 3, generator=generator))
-    opacities = opacity[0] + (opacity[1] - opacity[0]) * torch.rand(count, generator=generator)
-    features = torch.randn(count, CHANNELS, generator=generator)
-    return [tensor.to(device) for tensor in (means, quaternions, scales, opacities, features)]
 
 
 def one_gaussian(device, depth=1.0, scale=0.05, opacity=0.5):
@@ -84,7 +68,7 @@ UNUSABLE = {
 
 
 def test_unusable_gaussians_leave_no_trace_all_at_once(device, generator):
-    healthy, camera = make_scene(generator, device, 300), make_camera(device, 70, 50)
+    healthy, camera = block(generator, device, 300), straight_camera(device, 70, 50)
     weights = make_weights(generator, camera)
     broken = joined(*(one_gaussian(device, **kind) for kind in UNUSABLE.values()))
     # first, between and last: wherever they stand in the input
@@ -116,22 +100,22 @@ def test_unusable_gaussians_leave_no_trace_all_at_once(device, generator):
 def test_extreme_gaussians_match_the_twin(device, generator, kind):
     # in front of the others, among them and behind them
     extreme = [one_gaussian(device, **{**kind, "depth": kind.get("depth", depth)}) for depth in (0.4, 1.0, 1.8)]
-    scene, camera = joined(*extreme, make_scene(generator, device, 100)), make_camera(device, 45, 38)
+    scene, camera = joined(*extreme, block(generator, device, 100)), straight_camera(device, 45, 38)
     assert_matches_the_twin(scene, camera, make_weights(generator, camera), groups=(slice(0, 3), slice(3, None)))
 
 
 @pytest.mark.parametrize(("width", "height"), [(1, 1), (1, 33), (33, 1), (4096, 16), (16, 4096)])
 def test_sizes_match_the_twin(device, generator, width, height):
     count = 40 if max(width, height) > 100 else 200
-    scene = make_scene(generator, device, count, extent=(width / 120, height / 120), scale=0.1)
-    camera = make_camera(device, width, height)
+    scene = block(generator, device, count, extent=(width / 120, height / 120), scale=0.1)
+    camera = straight_camera(device, width, height)
     assert_matches_the_twin(scene, camera, make_weights(generator, camera))
 
 
 def test_a_hundred_thousand_in_one_tile(generator):
     """Specks that seldom cover two pixels, so that no pixel is full before it has seen them all."""
-    camera = make_camera("cpu", 16, 16)
-    scene = make_scene(generator, "cpu", 100_000, extent=(0.06, 0.06), scale=1e-3, opacity=(0.004, 0.006))
+    camera = straight_camera("cpu", 16, 16)
+    scene = block(generator, "cpu", 100_000, extent=(0.06, 0.06), scale=1e-3, opacity=(0.004, 0.006))
     weights = make_weights(generator, camera)
     projection = project(*scene[:4], camera)
     bins = bin_tiles(projection, scene[3], width=16, height=16)
@@ -139,9 +123,9 @@ def test_a_hundred_thousand_in_one_tile(generator):
     assert len(bins.gaussians) > 95_000
 
     inputs = [projection.means2d, projection.conics, scene[3], scene[4]]
-    plain = blending_plain.blend(*inputs, bins, width=16, height=16)
+    plain = blending_plain.blend(*inputs, bins, bins.gaussians, width=16, height=16)
     assert plain.transmittance.min() > 1e-3
-    truths = blending_plain.blend_adjoint(*inputs, bins, plain, weights[0], -weights[1])
+    truths = blending_plain.blend_adjoint(*inputs, bins, bins.gaussians, plain, weights[0], -weights[1])
     images, gradients = with_gradients(rasterize, scene, camera, weights)
     # some hundred terms a pixel, each of which rounds by 2^-24, and a few pairs that flip at alpha = 1/255
     assert (images[0] - plain.features).norm() < 1e-3 * plain.features.norm()
@@ -151,8 +135,8 @@ def test_a_hundred_thousand_in_one_tile(generator):
 
 
 def test_a_permutation_changes_nothing_but_the_order_of_equal_depths(device, generator):
-    camera = make_camera(device, 70, 50)
-    scene = make_scene(generator, device, 400)
+    camera = straight_camera(device, 70, 50)
+    scene = block(generator, device, 400)
     scene[0][:, 2] = 0.6 + 0.1 * torch.randint(8, (400,), generator=generator).to(device)  # eight depths, some fifty Gaussians each
     weights = make_weights(generator, camera)
     shuffle = torch.randperm(400, generator=generator).to(device)
@@ -178,19 +162,17 @@ def test_a_permutation_changes_nothing_but_the_order_of_equal_depths(device, gen
         assert torch.equal(one[shuffle], other)
 
 
-def test_bits_do_not_depend_on_threads_or_a_second_backward(generator):
-    camera = make_camera("cpu", 300, 200, focal=300.0)
-    scene = make_scene(generator, "cpu", 20_000, extent=(0.5, 0.4), scale=0.005)
+def test_bits_do_not_depend_on_threads_or_a_second_backward(generator, use_threads):
+    camera = straight_camera("cpu", 300, 200, focal=300.0)
+    scene = block(generator, "cpu", 20_000, extent=(0.5, 0.4), scale=0.005)
     weights = make_weights(generator, camera)
-    before = torch.get_num_threads()
     runs = []
     for threads in (1, 2):
-        torch.set_num_threads(threads)
+        use_threads(threads)
         leaves = [tensor.clone().requires_grad_() for tensor in scene]
         found = rasterize(*leaves, camera)
         for _ in range(2):
             runs.append((*found, *torch.autograd.grad(found[:2], leaves, weights, retain_graph=True)))
-    torch.set_num_threads(before)
     for results in zip(*runs, strict=True):
         for other in results[1:]:
             assert torch.equal(results[0], other)

@@ -2,31 +2,15 @@ import math
 
 import pytest
 import torch
+from kernels.scenes import cloud, turned_camera
 
-from samira_warp.camera import Camera
 from samira_warp.kernels.rasterizer import rasterize
 from samira_warp.reference.rasterizer import rasterize as reference_rasterize
 
 
-def make_camera(device, width, height):
-    angle = 0.2
-    pose = torch.eye(4)
-    pose[:3, :3] = torch.tensor([[math.cos(angle), 0, math.sin(angle)], [0, 1, 0], [-math.sin(angle), 0, math.cos(angle)]])
-    pose[:3, 3] = torch.tensor([0.02, -0.03, 1.0])
-    return Camera(pose.to(device), 1.2 * width, 1.2 * width, width / 2, height / 2, width, height)
-
-
-def make_scene(generator, device, count=200, channels=4):
-    means = 0.25 * torch.randn(count, 3, generator=generator)
-    quaternions = torch.randn(count, 4, generator=generator)
-    scales = 0.03 * torch.exp(0.6 * torch.randn(count, 3, generator=generator))
-    opacities, features = torch.rand(count, generator=generator), torch.randn(count, channels, generator=generator)
-    return [tensor.to(device) for tensor in (means, quaternions, scales, opacities, features)]
-
-
 @pytest.mark.parametrize(("width", "height"), [(48, 32), (37, 41), (1, 1)])
 def test_matches_the_twin(device, generator, width, height):
-    scene, camera = make_scene(generator, device), make_camera(device, width, height)
+    scene, camera = cloud(generator, device), turned_camera(device, width, height)
     weights = [torch.randn(height, width, 4, generator=generator).to(device), torch.randn(height, width, generator=generator).to(device)]
     inputs = [tensor.clone().requires_grad_() for tensor in scene]
     found = rasterize(*inputs, camera)
@@ -44,7 +28,7 @@ def test_matches_the_twin(device, generator, width, height):
 
 
 def test_capacity_does_not_change_the_picture(device, generator):
-    scene, camera = make_scene(generator, device), make_camera(device, 50, 40)
+    scene, camera = cloud(generator, device), turned_camera(device, 50, 40)
     results = []
     for capacity in (None, 5000):
         inputs = [tensor.clone().requires_grad_() for tensor in scene]
@@ -55,7 +39,7 @@ def test_capacity_does_not_change_the_picture(device, generator):
 
 
 def test_a_capacity_that_is_too_small_loses_the_farthest_and_stays_finite(device, generator):
-    scene, camera = make_scene(generator, device), make_camera(device, 50, 40)
+    scene, camera = cloud(generator, device), turned_camera(device, 50, 40)
     inputs = [tensor.clone().requires_grad_() for tensor in scene]
     found = rasterize(*inputs, camera, capacity=100)
     gradients = torch.autograd.grad(found.features.square().sum(), inputs)
@@ -66,7 +50,7 @@ def test_a_capacity_that_is_too_small_loses_the_farthest_and_stays_finite(device
 
 
 def test_screen_gradients_and_depth_gradients_reach_the_caller(device, generator):
-    scene, camera = make_scene(generator, device), make_camera(device, 50, 40)
+    scene, camera = cloud(generator, device), turned_camera(device, 50, 40)
     scene[0].requires_grad_()
     found = rasterize(*scene, camera)
     found.means2d.retain_grad()
@@ -79,8 +63,8 @@ def test_screen_gradients_and_depth_gradients_reach_the_caller(device, generator
 
 @pytest.mark.parametrize("count", [0, 1])
 def test_behind_the_camera_there_is_nothing(device, count):
-    camera = make_camera(device, 20, 20)
-    scene = make_scene(torch.Generator().manual_seed(0), device, count=count)
+    camera = turned_camera(device, 20, 20)
+    scene = cloud(torch.Generator().manual_seed(0), device, count=count)
     scene[0][:, 2] -= 9.0
     inputs = [tensor.requires_grad_() for tensor in scene]
     found = rasterize(*inputs, camera)
@@ -93,7 +77,7 @@ def test_behind_the_camera_there_is_nothing(device, count):
 
 
 def test_one_bad_gaussian_spoils_nothing(device, generator):
-    scene, camera = make_scene(generator, device), make_camera(device, 50, 40)
+    scene, camera = cloud(generator, device), turned_camera(device, 50, 40)
     without = rasterize(*(torch.cat([tensor[:50], tensor[51:]]) for tensor in scene), camera)
     for field in range(4):
         broken = [tensor.clone() for tensor in scene]

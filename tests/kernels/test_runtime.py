@@ -1,3 +1,10 @@
+import gc
+import os
+import subprocess
+import sys
+import textwrap
+import weakref
+
 import pytest
 import torch
 import warp as wp
@@ -18,16 +25,9 @@ def affine(x, scale, offset):
     return y
 
 
-@pytest.fixture
-def two_threads():
-    before = torch.get_num_threads()
-    torch.set_num_threads(2)
-    yield
-    torch.set_num_threads(before)
-
-
-def test_a_replayed_launch_takes_all_its_new_arguments(device, generator, two_threads):
+def test_a_replayed_launch_takes_all_its_new_arguments(device, generator, use_threads):
     """Other addresses, sizes, vectors and numbers than those that the launch was recorded with."""
+    use_threads(2)
     for count in (3, 1000, 1, 57):
         x = torch.rand(count, 2, generator=generator).to(device)
         scale, offset = wp.vec2(float(count), -2.0), 0.5 * count
@@ -74,3 +74,70 @@ def test_a_wrong_dtype_is_refused_also_after_a_right_one(device):
     affine(x, wp.vec2(1.0, 1.0), 0.0)
     with pytest.raises(RuntimeError):
         affine(x.double(), wp.vec2(1.0, 1.0), 0.0)
+
+
+def test_a_launch_holds_on_to_nothing(use_threads):
+    """What was launched on can be freed afterwards, whichever thread ran it."""
+    use_threads(2)
+    x, y = torch.ones(1000, 2), torch.zeros(1000, 2)
+    for _ in range(2):
+        launch_range(_affine, 1000, x, wp.vec2(1.0, 1.0), 0.0, y, grain=10)
+    alive = [weakref.ref(tensor) for tensor in (x, y)]
+    del x, y
+    gc.collect()
+    assert [reference() for reference in alive] == [None, None]
+
+
+def test_many_threads_may_begin_at_once():
+    """Compiling and loading is done by one of them; in a process of its own, where nothing is loaded yet."""
+    done = run_python(
+        """
+        import threading, torch
+        from samira_warp.camera import Camera
+        from samira_warp.kernels.rasterizer import rasterize
+
+        camera = Camera(torch.eye(4), 40.0, 40.0, 16.0, 16.0, 32, 32)
+        means = torch.tensor([[0.0, 0.0, 1.0], [0.1, 0.1, 2.0]])
+        arguments = (means, torch.ones(2, 4), torch.full((2, 3), 0.1), torch.full((2,), 0.5), torch.ones(2, 3), camera)
+        together, sums = threading.Barrier(4), []
+
+        def work():
+            together.wait()
+            for _ in range(50):
+                sums.append(rasterize(*arguments).features.sum().item())
+
+        threads = [threading.Thread(target=work) for _ in range(4)]
+        [thread.start() for thread in threads]
+        [thread.join() for thread in threads]
+        assert len(sums) == 200 and len(set(sums)) == 1, set(sums)
+        """
+    )
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="this system does not fork")
+def test_a_forked_process_goes_on():
+    """The child of a process that has launched on two threads can do so too."""
+    done = run_python(
+        """
+        import os, torch, warp as wp
+        from samira_warp.kernels.splats import GRAIN
+        from samira_warp.kernels.projection import project
+        from samira_warp.camera import Camera
+
+        torch.set_num_threads(2)
+        camera = Camera(torch.eye(4), 40.0, 40.0, 16.0, 16.0, 32, 32)
+        count = 4 * GRAIN
+        arguments = (torch.ones(count, 3), torch.ones(count, 4), torch.ones(count, 3), torch.ones(count), camera)
+        expected = project(*arguments).conics.clone()
+        child = os.fork()
+        if child == 0:
+            os._exit(0 if torch.equal(project(*arguments).conics, expected) else 1)
+        assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
+        """
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def run_python(code):
+    return subprocess.run([sys.executable, "-c", textwrap.dedent(code)], capture_output=True, text=True, timeout=120)

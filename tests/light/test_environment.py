@@ -10,6 +10,7 @@ from samira_warp.errors import UserError
 from samira_warp.images import write_exr
 from samira_warp.kernels.cubemap import texel_solid_angles
 from samira_warp.kernels.cubemap_lookup import sample_cubemap
+from samira_warp.kernels.equirect_lookup import picture_equirect
 from samira_warp.light import Environment, encode_srgb
 from samira_warp.light.cross import cube_to_cross
 from samira_warp.light.equirect import (
@@ -17,10 +18,10 @@ from samira_warp.light.equirect import (
     direction_to_equirect,
     equirect_directions,
     equirect_to_cube,
-    picture_equirect,
     turn_directions,
 )
 from samira_warp.light.radiance_map import RadianceMap
+from samira_warp.reference.equirect import picture_equirect as reference_picture
 
 
 def write(path, pixels, format=OpenImageIO.FLOAT):
@@ -155,6 +156,39 @@ def test_a_picture_of_a_panorama_keeps_a_slope():
     assert (picture_equirect(equirect_directions(64), directions) - directions).abs().max() < (math.pi / 64) ** 2
 
 
+@pytest.mark.parametrize("size", [(1, 2), (2, 4), (3, 6), (32, 64)])
+@pytest.mark.parametrize("rotate", [0.0, 77.0, -200.0])
+def test_a_picture_of_a_panorama_matches_the_twin(device, generator, size, rotate):
+    panorama = torch.rand(*size, 3, generator=generator)
+    directions = torch.nn.functional.normalize(torch.randn(5000, 3, generator=generator), dim=-1)
+    # the seam and the middle; a pole itself lies in every column
+    directions[:4] = torch.tensor([[1.0, 0, 0], [-1, 0, 0], [0, 0, 1], [0, 0, -1]])
+    expected = reference_picture(panorama.double(), directions.double(), rotate=rotate)
+    found = picture_equirect(panorama.to(device), directions.view(50, 100, 3).to(device), rotate=rotate).view(-1, 3).cpu()
+    # arc cosine loses half the digits near its ends, 3e-4 rad at the worst, where pixels are 0.1 wide; slopes are at most 1 a pixel
+    near_pole = directions[:, 1].abs() > 0.999
+    assert (found[~near_pole] - expected[~near_pole]).abs().max() < 2e-5
+    assert (found - expected).abs().max() < 5e-3
+
+
+def test_a_picture_of_a_panorama_has_the_same_bits_for_any_number_of_threads(generator, use_threads):
+    panorama, directions = torch.rand(16, 32, 3, generator=generator), equirect_directions(100)
+    pictures = []
+    for count in (1, 2):
+        use_threads(count)
+        pictures.append(picture_equirect(panorama, directions, rotate=10.0))
+    assert torch.equal(*pictures)
+
+
+@pytest.mark.parametrize(
+    ("panorama", "directions"),
+    [((0, 0, 3), (2, 3)), ((4, 8, 4), (2, 3)), ((4, 8, 3), (2, 2))],
+)
+def test_a_picture_of_nothing_is_refused(panorama, directions):
+    with pytest.raises(UserError):
+        picture_equirect(torch.zeros(panorama), torch.ones(directions))
+
+
 def test_auto_exposure_makes_the_mean_irradiance_one(tmp_path, generator):
     pixels = torch.rand(32, 64, 3, generator=generator).numpy() * 7
     environment = Environment.load(write(tmp_path / "map.exr", pixels), exposure="auto", size=32)
@@ -241,6 +275,57 @@ def test_unusable_files_are_refused_in_one_line(tmp_path, make, message):
         Environment.load(path)
     assert str(path) in str(error.value)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("exposure", math.nan),
+        ("exposure", math.inf),
+        ("exposure", -1.0),
+        ("exposure", "bright"),
+        ("rotate", math.nan),
+        ("rotate", math.inf),
+        ("size", 0),
+        ("size", -16),
+        ("size", 24),
+        ("size", 32.0),
+    ],
+)
+def test_bad_options_are_refused_before_the_file_is_read(tmp_path, name, value):
+    with pytest.raises(UserError, match=f"^{name}: expected .*, found {value}"):
+        Environment.load(tmp_path / "missing.exr", **{name: value})
+
+
+@pytest.mark.parametrize(
+    ("diffuse", "specular", "named"),
+    [
+        ((6, 3, 3, 3), (6, 16, 16, 3), "diffuse"),
+        ((6, 4, 4, 3), (6, 24, 24, 3), "specular"),
+        ((6, 4, 2, 3), (6, 16, 16, 3), "diffuse"),
+        ((6, 4, 4, 3), (6, 16, 16, 1), "specular"),
+        ((6, 0, 0, 3), (6, 16, 16, 3), "diffuse"),
+    ],
+)
+def test_cubemaps_that_cannot_be_filtered_are_refused(diffuse, specular, named):
+    with pytest.raises(UserError, match=f"^{named}: "):
+        Environment.from_cubemaps(torch.ones(diffuse), torch.ones(specular))
+
+
+def test_lights_are_told_apart_by_identity():
+    light = Environment.from_cubemaps(torch.ones(6, 2, 2, 3), torch.ones(6, 16, 16, 3))
+    # equality of tensors would be one truth value a texel
+    assert light == light
+    assert light != Environment.from_cubemaps(torch.ones(6, 2, 2, 3), torch.ones(6, 16, 16, 3))
+    assert len({light, light.visible}) == 2
+
+
+def test_exposures_may_be_whole_numbers_or_zero():
+    light = Environment.from_cubemaps(torch.ones(6, 2, 2, 3), torch.ones(6, 16, 16, 3))
+    assert torch.equal(light.exposed(2).specular, 2 * light.specular)
+    assert not light.exposed(0).specular.any()
+    with pytest.raises(UserError, match="exposure"):
+        light.exposed(-0.5)
 
 
 def test_real_maps_have_the_brightness_that_the_dataset_states(subject):

@@ -23,6 +23,7 @@ def test_the_json_is_one_object_with_its_errors_in_bounds(folder, monkeypatch, c
     monkeypatch.setattr(light_table, "SAMPLES", 1600)
     light.main("cpu", True, folder)
     row = json.loads(capsys.readouterr().out)
+    assert row["hardware"]
     assert row["furnace_max_error"] < 1e-3
     assert row["bruteforce_max_error"] < 1e-3
     assert row["environment_max_error"] < 1e-3
@@ -41,6 +42,14 @@ def test_the_table_has_a_line_per_map(folder, monkeypatch, capsys):
     lines = capsys.readouterr().out.strip().splitlines()
     assert len(lines) == 3
     assert len(lines[1].split()) == len(lines[2].split()) + 2  # "L_s head" and "C_fg head"
+
+
+def test_a_grey_map_is_read_and_a_cross_is_refused(tmp_path):
+    write_exr(tmp_path / "grey.exr", np.ones((8, 16, 1), np.float32))
+    assert light_table._read_panorama(tmp_path / "grey.exr").pixels.shape == (8, 16, 3)
+    write_exr(tmp_path / "grey.exr", np.ones((12, 16, 3), np.float32))
+    with pytest.raises(UserError, match=r"grey\.exr: expected an equirectangular map.*, found a cube cross"):
+        light_table.light_table(tmp_path, torch.device("cpu"))
 
 
 def test_a_folder_without_maps_is_refused(tmp_path):

@@ -137,7 +137,7 @@ def test_borders_of_the_brdf_table_give_the_gradients_of_the_reference(device, g
         assert torch.allclose(grad.cpu().double(), expected, rtol=1e-3, atol=2e-3)
 
 
-def test_same_bits_for_any_number_of_threads(device, generator):
+def test_same_bits_for_any_number_of_threads(device, generator, use_threads):
     values = [value.float().to(device).requires_grad_() for value in surface(9000, generator)]
     alpha = coverage(9000, generator).float().to(device).requires_grad_()
     maps = [torch.rand(6, size, size, 3, generator=generator).to(device).requires_grad_() for size in (16, 32, 16, 8, 4, 4)]
@@ -150,14 +150,10 @@ def test_same_bits_for_any_number_of_threads(device, generator):
         assert all(torch.equal(a, b) for a, b in zip(first, second, strict=True))
         return *result, *first
 
-    threads = torch.get_num_threads()
-    try:
-        torch.set_num_threads(1)
-        one = run()
-        torch.set_num_threads(2)
-        two = run()
-    finally:
-        torch.set_num_threads(threads)
+    use_threads(1)
+    one = run()
+    use_threads(2)
+    two = run()
     assert all(torch.equal(a, b) for a, b in zip(one, two, strict=True))
 
 
@@ -184,6 +180,27 @@ def test_wrong_shapes_are_refused():
         shade(*values, alpha=torch.ones(4))
     with pytest.raises(UserError, match="background"):
         shade(*values, background=torch.ones(3))
+    with pytest.raises(UserError, match=r"light\.irradiance: .* found float64"):
+        shade(*values[:-1], FilteredLight(light.irradiance.double(), light.specular))
+    with pytest.raises(UserError, match=r"light\.irradiance: expected square"):
+        shade(*values[:-1], FilteredLight(torch.ones(6, 2, 4, 3), light.specular))
+    with pytest.raises(UserError, match=r"light\.specular\[2\]: .* found float32 \(6, 2, 2, 4\)"):
+        shade(*values[:-1], FilteredLight(light.irradiance, (*light.specular[:2], torch.ones(6, 2, 2, 4))))
+
+
+@pytest.mark.parametrize("background", [1, True])
+def test_whole_numbers_are_backgrounds_and_exposures_as_well(device, generator, background):
+    values = [value.float().to(device) for value in surface(5, generator)]
+    light = FilteredLight(torch.ones(6, 2, 2, 3, device=device), (torch.ones(6, 2, 2, 3, device=device),) * 2)
+    alpha = torch.linspace(0, 1, 5, device=device)[:, None]
+    found = shade(*values, light, alpha=alpha, background=background, exposure=2)
+    assert torch.equal(found.image, shade(*values, light, alpha=alpha, background=1.0, exposure=2.0).image)
+
+
+def test_the_background_is_a_constant(device, generator):
+    values = [value.float().to(device) for value in surface(5, generator)]
+    light = FilteredLight(torch.ones(6, 2, 2, 3, device=device), (torch.ones(6, 2, 2, 3, device=device),) * 2)
+    assert not shade(*values, light, background=torch.rand(5, 3, device=device, requires_grad=True)).image.requires_grad
 
 
 def test_srgb_is_the_standard_and_inverts():

@@ -280,7 +280,6 @@ def files(tmp_path):
         (["--frames", "9:"], "--frames"),
         (["--frames", "x"], "--frames"),
         (["--split", "0.5"], "--split"),
-        (["--exposure", "0"], "--exposure"),
         (["--exposure", "-1"], "--exposure"),
         (["--exposure", "nan"], "--exposure"),
         (["--exposure", "inf"], "--exposure"),

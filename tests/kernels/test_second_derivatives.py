@@ -1,0 +1,59 @@
+"""Adjoints are written by hand and have none of their own: a second derivative is refused, not silently wrong."""
+
+import pytest
+import torch
+from kernels.scenes import block, straight_camera
+from torch.autograd import grad
+
+from samira_warp.kernels.binding import FaceBinding, bind
+from samira_warp.kernels.cubemap_filter import irradiance
+from samira_warp.kernels.cubemap_lookup import sample_cubemap
+from samira_warp.kernels.gather import GatherTable, gather
+from samira_warp.kernels.rasterizer import rasterize
+from samira_warp.kernels.triangle_frames import MeshTopology, triangle_frames
+from samira_warp.light import FilteredLight, shade
+
+
+def frames_of(device, vertices):
+    return triangle_frames(vertices, MeshTopology.build(torch.tensor([[0, 1, 2], [1, 2, 3]], device=device), 4))
+
+
+def bound(device, means):
+    binding, vertices = FaceBinding.build(torch.tensor([0, 1, 1, 0], device=device), 2), torch.eye(4, 3, device=device)
+    quaternions = torch.eye(4, device=device)
+    return bind(means, quaternions, torch.ones(4, 3, device=device), means.detach(), binding, frames_of(device, vertices)).means
+
+
+def shaded(device, albedo):
+    one, normal = torch.ones(4, 1, device=device), torch.eye(4, 3, device=device)
+    light = FilteredLight(torch.ones(6, 2, 2, 3, device=device), (torch.ones(6, 2, 2, 3, device=device),) * 2)
+    return shade(albedo, normal, one, one, one, one, normal, light).color
+
+
+def rasterized(device, features):
+    scene = block(torch.Generator().manual_seed(0), device, 4)
+    return rasterize(*scene[:4], features, straight_camera(device, 20, 20)).features
+
+
+def gathered(device, values):
+    table = GatherTable.build(torch.zeros(5, 1, dtype=torch.long, device=device), torch.ones(5, 1, device=device), sources=4)
+    return gather(values, table)
+
+
+OPERATORS = {
+    "bind": bound,
+    "gather": gathered,
+    "irradiance": lambda device, x: irradiance(x[0, 0] * torch.ones(6, 4, 4, 3, device=device), size=2),
+    "rasterize": rasterized,
+    "sample_cubemap": lambda device, x: sample_cubemap(torch.ones(6, 2, 2, 3, device=device), x),
+    "shade": shaded,
+    "triangle_frames": lambda device, x: frames_of(device, x).translation,
+}
+
+
+@pytest.mark.parametrize("operator", OPERATORS)
+def test_a_second_derivative_is_refused(device, generator, operator):
+    leaf = torch.rand(4, 3, generator=generator).to(device).requires_grad_()
+    (first,) = grad(OPERATORS[operator](device, leaf).square().sum(), leaf, create_graph=True)
+    with pytest.raises(RuntimeError, match="once_differentiable"):
+        first.sum().backward()
