@@ -9,6 +9,7 @@ from typing import TypeVar
 import tyro
 
 from samira_warp.errors import UserError
+from samira_warp.memory import keep_freed_memory
 
 Config = TypeVar("Config")
 
@@ -31,6 +32,7 @@ def run(main: Callable[[Config], None], config_type: type[Config], *, program: s
     Returns:
         The exit status: 0; 2 after one line on standard error, for a user's mistake or a file that cannot be written; 130 after Ctrl-C.
     """
+    keep_freed_memory()
     config = tyro.cli(config_type, prog=program, args=arguments)
     try:
         main(config)

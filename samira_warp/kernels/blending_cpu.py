@@ -169,12 +169,14 @@ _FORWARD = r"""
 
 _BACKWARD = r"""
     typedef float Octet __attribute__((ext_vector_type(8)));   // eight channels of one pixel
-    const int channels = features.shape[2], octets = (channels + 7) / 8;
+    // a gradient's channels go by eights; up to four that are left go one by one
+    const int channels = features.shape[2], left = channels % 8 <= 4 ? channels % 8 : 0, octets = (channels - left + 7) / 8;
 
     // the output's gradient twice: per channel as rows of pixels, and per pixel as octets of channels
     Row* by_channel = (Row*)__builtin_alloca_with_align(16 * padded * sizeof(Row), 512);
     Octet* by_pixel = (Octet*)__builtin_alloca_with_align(256 * octets * sizeof(Octet), 512);
     Octet* grad_feature = (Octet*)__builtin_alloca_with_align(BATCH * octets * sizeof(Octet), 512);
+    Row grad_left[BATCH][4];   // of channel 8 * octets and the next, not yet summed over the row
     for (int i = 0; i < 16 * padded; ++i) by_channel[i] = 0.0f;
     for (int i = 0; i < 256 * octets; ++i) by_pixel[i] = 0.0f;
     // what the pixel's gradient still has to meet behind the Gaussian at hand: sum of weight * dot, and the background's share
@@ -187,7 +189,7 @@ _BACKWARD = r"""
             for (int c = 0; c < channels; ++c) {
                 const float g = grad_features.data[pixel * channels + c];
                 by_channel[r * padded + c][x] = g;
-                ((float*)(by_pixel + (r * 16 + x) * octets))[c] = g;
+                if (c < 8 * octets) ((float*)(by_pixel + (r * 16 + x) * octets))[c] = g;
                 sum += features.data[pixel * channels + c] * g;
             }
             behind[r][x] = sum;
@@ -213,7 +215,8 @@ _BACKWARD = r"""
         slot[3] = total(moment1[j] * dx);
         slot[4] = 0.5f * total(moment2[j]);
         slot[5] = -total(moment0[j]) * inverse_opacity;
-        __builtin_memcpy(slot + GEOMETRY, grad_feature + j * octets, channels * sizeof(float));
+        __builtin_memcpy(slot + GEOMETRY, grad_feature + j * octets, (channels - left) * sizeof(float));
+        for (int c = 0; c < left; ++c) slot[GEOMETRY + 8 * octets + c] = total(grad_left[j][c]);
         reached.data[slots.data[entry]] = true;
     };
 
@@ -224,6 +227,7 @@ _BACKWARD = r"""
         for (int j = 0; j < size; ++j) {
             moment0[j] = moment1[j] = moment2[j] = 0.0f;
             for (int o = 0; o < octets; ++o) grad_feature[j * octets + o] = 0.0f;
+            for (int c = 0; c < left; ++c) grad_left[j][c] = 0.0f;
         }
         unfinished = false;
         for (int r = 0; r < 16; ++r) {
@@ -251,6 +255,7 @@ _BACKWARD = r"""
                 moment0[j] += grad_sigma;
                 moment1[j] += grad_sigma * dy;
                 moment2[j] += grad_sigma * (dy * dy);
+                for (int c = 0; c < left; ++c) grad_left[j][c] += weight[i] * by_channel[r * padded + 8 * octets + c];
             }
             live[r] = row_live;
             final[r] = row_final;

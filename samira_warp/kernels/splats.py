@@ -44,6 +44,16 @@ def pack_splats(means2d: Tensor, conics: Tensor, opacities: Tensor, features: Te
     return splats
 
 
+@wp.func_native(f"""
+    const int channels = features.shape[1], stride = splats.shape[1];
+    float* __restrict__ to = splats.data + (size_t)record * stride + {RECORD};
+    const float* __restrict__ from = features.data + (size_t)i * channels;
+    for (int c = 0; c < channels; ++c) to[c] = from[c];
+    for (int c = channels; c < stride - {RECORD}; ++c) to[c] = 0.0f;
+""")
+def _copy_features(splats: wp.array2d[wp.float32], record: wp.int32, features: wp.array2d[wp.float32], i: wp.int32) -> None: ...
+
+
 @wp.kernel(enable_backward=False)
 def _pack(
     first: wp.int32,
@@ -71,8 +81,4 @@ def _pack(
     splats[record, 5] = level
     splats[record, 6] = (level - wp.static(math.log2(ALPHA_MIN))) * 1.0001 + 0.0015
     splats[record, 7] = 1.0 / opacities[i]
-    channels = features.shape[1]
-    for c in range(channels):
-        splats[record, RECORD + c] = features[i, c]
-    for c in range(RECORD + channels, splats.shape[1]):
-        splats[record, c] = 0.0
+    _copy_features(splats, record, features, i)

@@ -82,7 +82,7 @@ def bin_tiles(projection: Projection, opacities: Tensor, *, width: int, height: 
     geometry = (projection.means2d.contiguous(), projection.conics.contiguous(), opacities.contiguous(), width, height, columns)
     covers = _cover(projection, geometry)
     order = covers.order
-    slot_ends, record_offsets = _offsets(covers.counts[order]), _offsets(covers.counts > 0).int()
+    slot_ends, record_offsets = _offsets(covers.counts.index_select(0, order)), _offsets(covers.counts > 0).int()
     unfilled = 0 if capacity is None else capacity
     if capacity is None:
         capacity = int(slot_ends[count])
