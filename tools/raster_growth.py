@@ -52,7 +52,7 @@ AXES = {
     "gaussians": "Gaussians",
     "size": "image size, pixels",
     "channels": "channels",
-    "culled": "Gaussians behind the camera, off-screen or too faint, besides 50,000",
+    "culled": "culled Gaussians, besides 50,000 that are seen",
 }
 
 HEADER = (

@@ -1,4 +1,4 @@
-"""``python -m samira_warp.check``: reads a dataset as training would and says what it holds."""
+"""``python -m samira_warp.check``: says what a dataset holds and all that is wrong with it."""
 
 from __future__ import annotations
 
@@ -6,13 +6,18 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
+from samira_warp.check.report import check_dataset
 from samira_warp.cli import run
-from samira_warp.data import Sequence, open_sequence
+from samira_warp.errors import UserError
+from samira_warp.images import write_png
 
 
 @dataclass(frozen=True)
 class CheckConfig:
-    """Read a dataset folder with the checks of training, and say what it holds."""
+    """Say what a dataset holds and all that is wrong with it, and draw the tracked mesh over a dozen of its frames.
+
+    The exit status is 0 where it can be trained on, and 2 where anything stands against it.
+    """
 
     data: Path
     """Folder of the dataset."""
@@ -23,30 +28,32 @@ class CheckConfig:
     flame: Path | None = None
     """FLAME's file (.pkl or .npz, with its UV coordinates and masks beside it), or a template.npz, for a dataset without one."""
 
+    out: Path | None = None
+    """Where to write the contact sheet, a PNG; default <folder's name>_check.png in the working directory."""
+
+    quick: bool = False
+    """What train does before it begins: decode no pictures but the masks of a dozen frames, and draw nothing."""
+
+    json: bool = False
+    """Print a JSON object instead of lines."""
+
 
 def main(config: CheckConfig) -> None:
-    """Read, check and print."""
-    print(describe(open_sequence(config.data, split=config.split, flame=config.flame)))
+    """Check, print and draw.
 
-
-def describe(sequence: Sequence) -> str:
-    """What a sequence holds, one fact a line."""
-    frames = sequence.frames
-    sizes = sorted({(frame.camera.width, frame.camera.height) for frame in frames})
-    template = sequence.template
-    facts = {
-        "folder": sequence.root,
-        "format": sequence.format,
-        "frames": f"{len(frames)} at {len({frame.timestep for frame in frames})} timesteps",
-        "split": f"{sequence.split.text}: {len(sequence.train)} train, {len(sequence.test)} test",
-        "size": ", ".join(f"{width} x {height}" for width, height in sizes),
-        "template": f"{sequence.template_path}: {len(template.v_template)} vertices, {len(template.faces)} faces, "
-        f"{template.n_shape} identity and {template.n_expression} expression coefficients",
-        "static offset": "none" if sequence.canonical_static_offset is None else "present",
-        "masks": f"{sum(frame.mask_path is not None for frame in frames)} of {len(frames)} frames",
-        "albedo": f"{sum(frame.albedo_path is not None for frame in frames)} of {len(frames)} frames",
-    }
-    return "\n".join(f"{name + ':':<15}{value}" for name, value in [*facts.items(), *(("note", note) for note in sequence.notes)])
+    Raises:
+        UserError: The folder cannot be read at all, or there are faults.
+    """
+    if config.out is not None and (config.out.suffix.lower() != ".png" or not config.out.parent.is_dir()):
+        raise UserError("--out", expected="a .png in a folder that is there", found=config.out)
+    report = check_dataset(config.data, split=config.split, flame=config.flame, quick=config.quick)
+    print(report.json() if config.json else report.text())
+    if report.sheet is not None:
+        path = config.out or Path(f"{config.data.resolve().name}_check.png")
+        write_png(path, report.sheet)
+        print(f"the mesh over its pictures: {path}", file=sys.stderr)
+    if report.faults:
+        raise UserError(config.data, expected="a dataset to train on", found=f"{report.faults} fault{'s' * (report.faults > 1)}")
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,6 +17,7 @@ from samira_warp.data.index import FileIndex
 from samira_warp.data.pictures import first_folder, key_of, natural, pictures_of
 from samira_warp.data.split import Split
 from samira_warp.errors import UserError
+from samira_warp.faults import all_of, each
 
 
 class Intrinsics(NamedTuple):
@@ -88,18 +90,22 @@ def list_film(film: Film, split: Split, index: FileIndex) -> Listed:
         matched = [(number, picture) for number, picture in matched if key_of(picture.stem) in train | test]
         trains = [key_of(picture.stem) in train for _, picture in matched]
     held = torch.from_numpy(pose.astype(np.float32))
-    frames = []
-    for timestep, (number, picture) in enumerate(matched):
+
+    def files(timestep: int) -> tuple[int, FrameFiles]:
+        number, picture = matched[timestep]
         width, height = index.picture_size(picture)
         camera = Camera(held, *film.intrinsics(number, width, height), width=width, height=height)
         key = key_of(picture.stem)
         frame = FrameFiles(picture.stem, timestep, picture, masks.get(key), albedos.get(key), film.paths[number], camera)
-        for other in (frame.mask_path, frame.albedo_path):
-            if other is not None:
-                check_shape(other, camera, index, said_by=picture.name)
-        frames.append(frame)
+        others = [path for path in (frame.mask_path, frame.albedo_path) if path is not None]
+        all_of(*(partial(check_shape, path, camera, index, said_by=picture.name) for path in others))
+        return timestep, frame
+
+    read = each(files, range(len(matched)))
+    kept, frames = ([one[part] for one in read] for part in (0, 1))
+    trains = None if trains is None else [trains[timestep] for timestep in kept]
     listing = listing_of(film.root, split, frames, format=film.format, trains=trains, notes=(*film.notes, *notes))
-    return Listed(listing, [number for number, _ in matched], pose)
+    return Listed(listing, [matched[timestep][0] for timestep in kept], pose)
 
 
 def check_picture(path: Path, camera: Camera, index: FileIndex, *, said_by: str) -> None:

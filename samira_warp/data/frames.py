@@ -10,6 +10,7 @@ import torch
 from samira_warp.camera import Camera
 from samira_warp.data.split import Split, divide_timesteps
 from samira_warp.errors import UserError
+from samira_warp.faults import each
 from samira_warp.head.model import FrameParameters
 from samira_warp.head.template import HeadTemplate
 
@@ -113,10 +114,13 @@ def listing_of(
 def _check_names(root: Path, frames: list[FrameFiles]) -> None:
     """Outputs are named by the image's stem: two frames of one name would overwrite each other."""
     seen: dict[str, Path] = {}
-    for frame in frames:
+
+    def check(frame: FrameFiles) -> None:
         if frame.name in seen:
             raise UserError(root, expected="image names that differ", found=f"{seen[frame.name]} and {frame.image_path}")
         seen[frame.name] = frame.image_path
+
+    each(check, frames)
 
 
 @dataclass(frozen=True, eq=False)

@@ -21,6 +21,7 @@ from samira_warp.data.pictures import stem_of
 from samira_warp.data.split import Split
 from samira_warp.data.track import Reading, Track, heads_of
 from samira_warp.errors import UserError
+from samira_warp.faults import each
 from samira_warp.files import read_json
 
 SCALES = {"tracked_params.json": 4.0, "tracked_params_v2.json": 1.0}
@@ -38,14 +39,15 @@ def open_hravatar(root: Path, split: Split, index: FileIndex) -> Reading:
     entries = {name: entry for name, entry in document.items() if isinstance(entry, dict) and "fullposecode" in entry}
     if not entries:
         raise UserError(path, expected="an entry with fullposecode for each picture", found=f"{len(document)} others")
-    rows = [_row(path, name, entry, document, SCALES[path.name]) for name, entry in entries.items()]
+    read = each(lambda name: (name, _row(path, name, entries[name], document, SCALES[path.name])), entries)
+    names, rows = ([one[part] for one in read] for part in (0, 1))
     track = Track(path=path, shape=numbers(f"{path}: shapecode", document.get("shapecode")), **stacked(path, rows))
     film = Film(
         root=root,
         format=f"HRAvatar's {path.name}",
         image_folders=("image", "images"),
         mask_folders=("mask", "masks", "fg_masks"),
-        names=[stem_of(name) for name in entries],
+        names=[stem_of(name) for name in names],
         paths=[path] * len(rows),
         world_to_camera=track.world_to_camera,
         intrinsics=intrinsics_of(f"{path}: intrinsics", document.get("intrinsics"), pixels_of=None),

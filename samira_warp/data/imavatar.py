@@ -20,6 +20,7 @@ from samira_warp.data.pictures import stem_of
 from samira_warp.data.split import Split
 from samira_warp.data.track import Reading, Track, heads_of
 from samira_warp.errors import UserError
+from samira_warp.faults import each
 from samira_warp.files import read_json
 
 PARAMETERS = "flame_params.json"
@@ -43,19 +44,8 @@ def open_imavatar(root: Path, split: Split, index: FileIndex) -> Reading:
     frames = document.get("frames")
     if not isinstance(frames, list) or not frames:
         raise UserError(path, expected="a list 'frames' of tracked frames", found="none")
-    names, rows = [], []
-    for number, frame in enumerate(frames):
-        place = f"{path}: frames[{number}]"
-        if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str):
-            raise UserError(place, expected="an object with a file_path", found=type(frame).__name__)
-        names.append(stem_of(frame["file_path"]))
-        rows.append(
-            {
-                "expression": numbers(f"{place}: expression", frame.get("expression")),
-                **pose_parts(f"{place}: pose", frame.get("pose")),
-                "world_to_camera": pose_in_metres(f"{place}: world_mat", frame.get("world_mat"), scale=SCALE),
-            }
-        )
+    read = each(lambda number: _row(f"{path}: frames[{number}]", frames[number]), range(len(frames)))
+    names, rows = ([one[part] for one in read] for part in (0, 1))
     shape = numbers(f"{path}: shape_params", document.get("shape_params"))
     track = Track(path=path, shape=shape, translation=np.zeros((len(rows), 3)), **stacked(path, rows))
     film = Film(
@@ -71,3 +61,14 @@ def open_imavatar(root: Path, split: Split, index: FileIndex) -> Reading:
     listed = list_film(film, split, index)
     track = track.taken(listed.numbers)
     return Reading(listed.listing, lambda template: heads_of(track, template, listed.pose))
+
+
+def _row(place: str, frame: object) -> tuple[str, dict[str, np.ndarray]]:
+    """The name of one frame's picture, and what was tracked in it."""
+    if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str):
+        raise UserError(place, expected="an object with a file_path", found=type(frame).__name__)
+    return stem_of(frame["file_path"]), {
+        "expression": numbers(f"{place}: expression", frame.get("expression")),
+        **pose_parts(f"{place}: pose", frame.get("pose")),
+        "world_to_camera": pose_in_metres(f"{place}: world_mat", frame.get("world_mat"), scale=SCALE),
+    }

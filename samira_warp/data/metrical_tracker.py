@@ -21,11 +21,14 @@ from samira_warp.data.pictures import key_of, stem_of
 from samira_warp.data.split import Split
 from samira_warp.data.track import Reading, Track, heads_of
 from samira_warp.errors import UserError
+from samira_warp.faults import each
 from samira_warp.files import read_json
 from samira_warp.pickles import arrays_of, read_torch_archive
 
 FRAMES = "checkpoint/*.frame"
 """What marks the format."""
+
+_Read = tuple[Path, dict[str, np.ndarray]]
 
 _FLAME_SIZES = {"exp": None, "shape": None, "eyes": 12, "jaw": 6, "eyelids": 2}
 _CAMERA_SHAPES = {"R": (3, 3), "t": (3,), "K": (3, 3)}
@@ -37,12 +40,9 @@ def open_metrical_tracker(root: Path, split: Split, index: FileIndex) -> Reading
     Raises:
         UserError: A file is missing or broken, a value has a wrong shape, or no picture belongs to a checkpoint.
     """
-    paths = sorted(root.glob(FRAMES))
-    payloads = [_checked(path, index.arrays(path, _read_frame)) for path in paths]
-    for path, payload in zip(paths, payloads, strict=True):
-        # coefficients are of order 1: what float32 text round trips lose
-        if payload["shape"].shape != payloads[0]["shape"].shape or not np.allclose(payload["shape"], payloads[0]["shape"], atol=1e-5):
-            raise UserError(f"{path}: flame.shape", expected=f"the identity of {paths[0].name}", found="another")
+    read = each(lambda path: (path, _checked(path, index.arrays(path, _read_frame))), sorted(root.glob(FRAMES)))
+    read = each(lambda one: _of_one_person(*one, read[0]), read)
+    paths, payloads = ([one[part] for one in read] for part in (0, 1))
     rows = stacked(paths[0].parent, payloads)
     track = _track(paths[0].parent, rows)
 
@@ -122,6 +122,14 @@ def _checked(path: Path, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]
         if (np.linalg.norm(checked[key].reshape(-1, 3), axis=1) < 1e-6).any():
             raise UserError(f"{path}: flame.{key}", expected="two rows of a rotation", found="a row of zeros")
     return checked
+
+
+def _of_one_person(path: Path, arrays: dict[str, np.ndarray], first: _Read) -> _Read:
+    """The same file and arrays, if their identity is the first one's; coefficients are of order 1: float32 text round trips lose 1e-5."""
+    shape, wanted = arrays["shape"], first[1]["shape"]
+    if shape.shape != wanted.shape or not np.allclose(shape, wanted, atol=1e-5):
+        raise UserError(f"{path}: flame.shape", expected=f"the identity of {first[0].name}", found="another")
+    return path, arrays
 
 
 def _own_division(root: Path) -> tuple[set[str], set[str]] | None:

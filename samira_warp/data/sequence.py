@@ -11,6 +11,7 @@ from samira_warp.data.index import FileIndex
 from samira_warp.data.split import parse_split
 from samira_warp.data.track import Reading
 from samira_warp.errors import UserError
+from samira_warp.faults import all_of
 from samira_warp.head.flame import read_head
 from samira_warp.head.model import FrameParameters
 from samira_warp.head.template import HeadTemplate, read_template
@@ -42,8 +43,7 @@ def open_sequence(root: Path, *, split: str = "dataset", flame: Path | None = No
     Raises:
         UserError: As in open_listing; also where the template or any parameter is missing, of a wrong shape or not finite.
     """
-    reading, index = _open(root, split)
-    template, template_path = _template(root, flame)
+    (reading, index), (template, template_path) = all_of(lambda: _open(root, split), lambda: _template(root, flame))
     heads = reading.heads(template)
     index.save()
     listing = reading.listing

@@ -13,6 +13,7 @@ import torch
 from samira_warp.data.frames import Listing
 from samira_warp.data.still_camera import hold_camera
 from samira_warp.errors import UserError
+from samira_warp.faults import all_of
 from samira_warp.head.flame import EYELIDS
 from samira_warp.head.model import FrameParameters
 from samira_warp.head.template import HeadTemplate
@@ -117,8 +118,7 @@ def heads_of(track: Track, template: HeadTemplate, camera: np.ndarray) -> Heads:
     Raises:
         UserError: As in fitted_shape.
     """
-    shape = fitted_shape(track, template)
-    expression, notes = fitted_expression(track, template)
+    shape, (expression, notes) = all_of(lambda: fitted_shape(track, template), lambda: fitted_expression(track, template))
     rotation, translation = hold_camera(
         track.rotation, track.translation, track.world_to_camera, camera, template=template, shape=shape, expression=expression
     )

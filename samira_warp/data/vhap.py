@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 import math
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +22,7 @@ from samira_warp.data.numbers import check_rotation
 from samira_warp.data.pictures import key_of, pictures_of
 from samira_warp.data.split import Split
 from samira_warp.errors import UserError
+from samira_warp.faults import all_of, each
 
 CANONICAL_FILE = "canonical_flame_param.npz"
 """Its presence is how GaussianAvatars knows the format, and so do we."""
@@ -45,7 +47,7 @@ def list_vhap(root: Path, split: Split, index: FileIndex) -> Listing:
     if split.kind != "dataset":
         frames = reader.transforms("transforms.json")
     else:
-        train, test = (reader.transforms(f"transforms_{part}.json") for part in ("train", "test"))
+        train, test = all_of(*(partial(reader.transforms, f"transforms_{part}.json") for part in ("train", "test")))
         shared = {frame.name for frame in train} & {frame.name for frame in test}
         if shared:
             raise UserError(root / "transforms_test.json", expected="frames that are not trained on", found=f"{min(shared)} in both")
@@ -76,8 +78,11 @@ class _Reader:
             raise UserError(path, expected="an object with a list 'frames'", found="none")
         if not document["frames"]:
             raise UserError(path, expected="at least one frame", found="an empty list")
-        entries = (_with_shared_values(path, number, frame, document) for number, frame in enumerate(document["frames"]))
-        return [_Entry(path, number, values).files(self) for number, values in enumerate(entries)]
+
+        def files(number: int) -> FrameFiles:
+            return _Entry(path, number, _with_shared_values(path, number, document["frames"][number], document)).files(self)
+
+        return each(files, range(len(document["frames"])))
 
     def picture(self, path: Path) -> Path | None:
         """The picture at a path, or else the one beside it whose name differs by its suffix or the spelling of an accent."""
@@ -109,22 +114,18 @@ class _Entry:
 
     def files(self, reader: _Reader) -> FrameFiles:
         """The entry's files, all there and of the camera's size, and its camera."""
-        image_path = self._picture(reader, "file_path")
-        camera = self.camera()
-        frame = FrameFiles(
-            name=image_path.stem,
-            timestep=self._whole("timestep_index"),
-            image_path=image_path,
-            mask_path=self._picture(reader, "fg_mask_path") if self.values.get("fg_mask_path") else None,
-            albedo_path=reader.albedo.get(key_of(image_path.stem)),
-            parameters_path=self._file(reader.root, "flame_param_path"),
-            camera=camera,
+        image_path, mask_path, parameters_path, timestep, camera = all_of(
+            lambda: self._picture(reader, "file_path"),
+            lambda: self._picture(reader, "fg_mask_path") if self.values.get("fg_mask_path") else None,
+            lambda: self._file(reader.root, "flame_param_path"),
+            lambda: self._whole("timestep_index"),
+            self.camera,
         )
-        check_picture(frame.image_path, camera, reader.index, said_by=self.path.name)
-        for picture in (frame.mask_path, frame.albedo_path):
-            if picture is not None:
-                check_shape(picture, camera, reader.index, said_by=self.path.name)
-        return frame
+        albedo_path = reader.albedo.get(key_of(image_path.stem))
+        others = [path for path in (mask_path, albedo_path) if path is not None]
+        checks = [partial(check_picture, image_path), *(partial(check_shape, path) for path in others)]
+        all_of(*(partial(check, camera, reader.index, said_by=self.path.name) for check in checks))
+        return FrameFiles(image_path.stem, timestep, image_path, mask_path, albedo_path, parameters_path, camera)
 
     def camera(self) -> Camera:
         """The pinhole camera; without fl_x the field of view gives the focal length, without cx the centre is the frame's."""

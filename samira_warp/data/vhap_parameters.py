@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import zipfile
 import zlib
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -12,6 +13,7 @@ import torch
 
 from samira_warp.data.index import FileIndex
 from samira_warp.errors import UserError
+from samira_warp.faults import all_of
 from samira_warp.head.flame import FLAME_VERTICES
 from samira_warp.head.model import FrameParameters
 from samira_warp.head.teeth import TEETH_VERTICES
@@ -49,17 +51,18 @@ def read_tracked_head(path: Path, template: HeadTemplate, index: FileIndex | Non
         fewer = not template.names_expressions and 0 < found < shape[-1]
         return torch.nn.functional.pad(vector(key, *shape[:-1], found if fewer else shape[-1]), (0, shape[-1] - found if fewer else 0))
 
-    parameters = FrameParameters(
-        translation=vector("translation", 1, 3),
-        rotation=vector("rotation", 1, 3),
-        neck=vector("neck_pose", 1, 3),
-        jaw=vector("jaw_pose", 1, 3),
-        eyes=vector("eyes_pose", 1, 6),
-        expression=coefficients("expr", 1, template.n_expression),
-        static_offset=_offset(path, arrays, "static_offset", vertices),
-        dynamic_offset=_offset(path, arrays, "dynamic_offset", vertices),
+    translation, rotation, neck, jaw, eyes, expression, static_offset, dynamic_offset, shape = all_of(
+        partial(vector, "translation", 1, 3),
+        partial(vector, "rotation", 1, 3),
+        partial(vector, "neck_pose", 1, 3),
+        partial(vector, "jaw_pose", 1, 3),
+        partial(vector, "eyes_pose", 1, 6),
+        partial(coefficients, "expr", 1, template.n_expression),
+        partial(_offset, path, arrays, "static_offset", vertices),
+        partial(_offset, path, arrays, "dynamic_offset", vertices),
+        partial(coefficients, "shape", template.n_shape),
     )
-    return TrackedHead(parameters, coefficients("shape", template.n_shape))
+    return TrackedHead(FrameParameters(translation, rotation, neck, jaw, eyes, expression, static_offset, dynamic_offset), shape)
 
 
 def load_parameters(path: Path) -> dict[str, np.ndarray]:

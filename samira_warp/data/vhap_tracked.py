@@ -12,6 +12,7 @@ Films of one camera alone: only for them does VHAP find the camera itself, which
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,7 @@ from samira_warp.data.split import Split
 from samira_warp.data.track import Heads, Reading, Track, heads_of
 from samira_warp.data.vhap_parameters import checked, load_parameters, offsets
 from samira_warp.errors import UserError
+from samira_warp.faults import all_of
 from samira_warp.head.template import HeadTemplate
 
 TRACKED = "tracked_flame_params*.npz"
@@ -77,9 +79,9 @@ def _track(path: Path, arrays: dict[str, np.ndarray]) -> Track:
     """All timesteps; the head is moved to the origin and the camera with it, as VHAP's export does."""
     expression = arrays.get("expr", np.empty(0))
     every = len(expression) if expression.ndim == 2 else 0
-    rows = {"expr": checked(path, arrays, "expr", (every, expression.shape[-1] if expression.ndim else 0))}
-    rows |= {key: checked(path, arrays, key, (every, size)) for key, size in _SIZES.items()}
-    rows = {key: value.astype(np.float64) for key, value in rows.items()}
+    sizes = {"expr": expression.shape[-1] if expression.ndim else 0, **_SIZES}
+    read = all_of(*(partial(checked, path, arrays, key, (every, size)) for key, size in sizes.items()))
+    rows = {key: values.astype(np.float64) for key, values in zip(sizes, read, strict=True)}
     centre = rows["translation"].mean(axis=0)
     pose = np.diag([1.0, -1.0, -1.0, 1.0])
     pose[:3, 3] = pose[:3, :3] @ (centre - [0.0, 0.0, 1.0])

@@ -15,6 +15,7 @@ from tqdm import tqdm
 from samira_warp.avatar import Avatar, DrivingFrame, GBuffer, MaterialEdit, Motion, Rendering
 from samira_warp.avatar.storage import find_avatar
 from samira_warp.camera import Camera
+from samira_warp.contact_sheet import contact_sheet
 from samira_warp.devices import pick_device
 from samira_warp.errors import UserError
 from samira_warp.images import to_uint8, write_exr, write_png
@@ -23,7 +24,6 @@ from samira_warp.light.environment import check_exposure
 from samira_warp.light.radiance_map import RadianceMap
 from samira_warp.render.background import Background
 from samira_warp.render.config import RenderConfig, material_edits
-from samira_warp.render.contact_sheet import contact_sheet
 from samira_warp.render.layers import LayerImage, layer_image
 from samira_warp.render.lights import one_light, sheet_labels, sheet_light, sheet_paths
 from samira_warp.render.sources import select_frames

@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 import torch
 
 from samira_warp.avatar import Avatar, DrivingFrame, write_frames
-from samira_warp.data import PixelCache, Sequence, open_sequence
+from samira_warp.check import open_checked
+from samira_warp.data import PixelCache, Sequence
 from samira_warp.data.pixels import load_mask
 from samira_warp.errors import UserError
 from samira_warp.evaluate import ImagePair, evaluate_images, find_lpips
@@ -46,7 +47,7 @@ def train(config: TrainConfig) -> Path | None:
         UserError: The configuration or the dataset cannot be used.
     """
     config = resolve(config)
-    sequence = open_sequence(config.data, split=config.split, flame=config.flame)
+    sequence = open_checked(config.data, split=config.split, flame=config.flame)
     size = image_size(sequence, config.resolution)
     perceptual = _perceptual(config, size)
     steps = min(config.epochs * len(sequence.train), config.max_steps or sys.maxsize)

@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
+from samira_warp.contact_sheet import contact_sheet
 from samira_warp.images import text_line
-from samira_warp.render.contact_sheet import contact_sheet
 
 
 @pytest.mark.parametrize("text", ["studio", "lämp 1", "i", "a name that is far too long to fit under so small a picture", "W" * 300])

@@ -1,0 +1,91 @@
+"""The tracked mesh drawn over its pictures, so that a person sees whether tracking and camera agree."""
+
+from __future__ import annotations
+
+import numpy as np
+from PIL import Image, ImageDraw
+
+from samira_warp.check.views import View, coverage, faces_before
+from samira_warp.contact_sheet import contact_sheet
+from samira_warp.errors import UserError
+from samira_warp.images import read_on_white, resize_box
+
+CELL = 360
+"""Pixels of the longer side of a picture on the sheet."""
+
+_FINE = 3
+"""Lines are drawn on a grid so many times as fine, and averaged."""
+
+_EDGE = (0, 255, 140, 150)
+_FACE = np.array([0.0, 200.0, 255.0])
+_FACE_ALPHA = 24
+_MASK_EDGE = np.array([1.0, 0.0, 0.6])
+
+
+def mesh_sheet(views: list[View], faces: np.ndarray, *, parts: dict[str, str]) -> np.ndarray:
+    """A contact sheet of pictures with the mesh over them in green and the border of the mask in magenta.
+
+    Args:
+        views: At least one.
+        faces: (F, 3) vertex ids.
+        parts: Whether a frame trains or tests, by its name.
+
+    Returns:
+        (rows, columns, 3) float32 display values.
+    """
+    pictures = [_picture(view, faces) for view in views]
+    height, width = (max(picture.shape[side] for picture in pictures) for side in (0, 1))
+    labels = [f"{view.frame.name} {parts.get(view.frame.name, '')}".strip() for view in views]
+    return contact_sheet([_centred(picture, height, width) for picture in pictures], labels)
+
+
+def mesh_overlay(view: View, faces: np.ndarray, *, width: int, height: int) -> np.ndarray:
+    """(height, width, 4) float32 premultiplied display values and coverage of a mesh: shaded faces with their edges, near over far."""
+    camera = view.frame.camera
+    faces = faces_before(view.points, faces)
+    corners = view.points[faces]
+    faces = faces[np.argsort(-corners[..., 2].mean(axis=1))]
+    corners = view.points[faces]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    facing = np.abs(normals[:, 2]) / np.maximum(np.linalg.norm(normals, axis=1), 1e-30)
+    fills = np.rint(facing[:, None] * _FACE).astype(int).tolist()
+    layer = Image.new("RGBA", (_FINE * width, _FINE * height))
+    draw = ImageDraw.Draw(layer)
+    pixels = view.pixels * [_FINE * width / camera.width, _FINE * height / camera.height]
+    for triangle, fill in zip(pixels[faces].reshape(-1, 6).tolist(), fills, strict=True):
+        draw.polygon(triangle, fill=(*fill, _FACE_ALPHA), outline=_EDGE)
+    values = np.asarray(layer, np.float32) / 255.0
+    values[..., :3] *= values[..., 3:]
+    return resize_box(values, width=width, height=height)
+
+
+def _picture(view: View, faces: np.ndarray) -> np.ndarray:
+    """(h, w, 3) a frame with its mesh; grey where the picture cannot be decoded."""
+    camera = view.frame.camera
+    scale = CELL / max(camera.width, camera.height)
+    width, height = max(round(camera.width * scale), 1), max(round(camera.height * scale), 1)
+    try:
+        picture = resize_box(read_on_white(view.frame.image_path), width=width, height=height)
+    except UserError:
+        picture = np.full((height, width, 3), 0.5, np.float32)
+    overlay = mesh_overlay(view, faces, width=width, height=height)
+    picture = picture * (1.0 - overlay[..., 3:]) + overlay[..., :3]
+    matte = coverage(view)
+    if matte is not None:
+        border = _border(resize_box(matte, width=width, height=height) > 0.5)
+        picture[border] = _MASK_EDGE
+    return picture
+
+
+def _border(covered: np.ndarray) -> np.ndarray:
+    """(h, w) bool: covered pixels beside uncovered ones."""
+    padded = np.pad(covered, 1, mode="edge")
+    return covered & ~(padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:])
+
+
+def _centred(picture: np.ndarray, height: int, width: int) -> np.ndarray:
+    """The picture in the middle of a white one."""
+    top, left = (height - picture.shape[0]) // 2, (width - picture.shape[1]) // 2
+    canvas = np.ones((height, width, 3), np.float32)
+    canvas[top : top + picture.shape[0], left : left + picture.shape[1]] = picture
+    return canvas

@@ -1,0 +1,79 @@
+"""What a dataset holds, in words."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from samira_warp.check.views import View
+from samira_warp.data import Listing, Sequence
+
+
+def listing_facts(listing: Listing, *, divided: bool) -> dict[str, str]:
+    """What is known without the tracked parameters.
+
+    Args:
+        listing: The frames.
+        divided: Whether they are divided as the user wants; else nothing is said of it.
+    """
+    frames = listing.frames
+    sizes = sorted({(frame.camera.width, frame.camera.height) for frame in frames})
+    facts = {
+        "folder": str(listing.root),
+        "format": listing.format,
+        "frames": f"{len(frames)} at {len({frame.timestep for frame in frames})} timesteps",
+        "split": f"{listing.split.text}: {len(listing.train)} train, {len(listing.test)} test",
+        "size": ", ".join(f"{width} x {height}" for width, height in sizes),
+        "cameras": _cameras(listing),
+        "masks": f"{sum(frame.mask_path is not None for frame in frames)} of {len(frames)} frames",
+        "albedo": f"{sum(frame.albedo_path is not None for frame in frames)} of {len(frames)} frames",
+    }
+    return facts if divided else {name: fact for name, fact in facts.items() if name != "split"}
+
+
+def head_facts(sequence: Sequence, views: list[View]) -> dict[str, str]:
+    """What is known of the head, its motion, and where it is.
+
+    Args:
+        sequence: The dataset.
+        views: Some of its frames.
+    """
+    template = sequence.template
+    parameters = [frame.parameters for frame in sequence.frames]
+    expression = torch.stack([each.expression for each in parameters]).numpy()
+    facts = {
+        "template": _template(sequence.template_path, sequence),
+        "static offset": "none" if sequence.canonical_static_offset is None else "present",
+        "identity": f"coefficients {_range(sequence.shape.numpy())}",
+    }
+    if expression.size:
+        frame, shape = np.unravel_index(np.abs(expression).argmax(), expression.shape)
+        most = f"the largest is {template.expression_names[shape]} in {sequence.frames[frame].name}"
+        facts["expression"] = f"coefficients {_range(expression)}, {most}"
+    turns = {name: torch.stack([getattr(each, name) for each in parameters]) for name in ("rotation", "neck", "jaw")}
+    facts["turn"] = ", ".join(f"{name} up to {float(turn.norm(dim=1).max().rad2deg()):.0f}" for name, turn in turns.items()) + " degrees"
+    if views:
+        depths = [float(np.median(view.points[:, 2])) for view in views]
+        facts["distance"] = f"{min(depths):.2f} to {max(depths):.2f} metres from the camera"
+    return facts
+
+
+def _template(path: Path, sequence: Sequence) -> str:
+    template = sequence.template
+    size = f"{len(template.v_template)} vertices, {len(template.faces)} faces"
+    return f"{path}: {size}, {template.n_shape} identity and {template.n_expression} expression coefficients"
+
+
+def _cameras(listing: Listing) -> str:
+    """How many there are, and their focal lengths."""
+    cameras = [frame.camera for frame in listing.frames]
+    poses = {camera.world_to_camera.numpy().tobytes() for camera in cameras}
+    focal = np.array([camera.fx for camera in cameras])
+    shown = f"{focal.min():.5g}" if np.ptp(focal) < 1e-3 * focal.max() else f"{focal.min():.5g} to {focal.max():.5g}"
+    return f"{len(poses)} pose{'s' * (len(poses) > 1)}, focal length {shown} pixels"
+
+
+def _range(values: np.ndarray) -> str:
+    return f"from {values.min():.2f} to {values.max():.2f}" if values.size else "none"

@@ -1,0 +1,90 @@
+"""Faults of pictures that only decoding them shows, and pictures that nothing names."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterable
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
+
+from tqdm import tqdm
+
+from samira_warp.check.findings import Finding, finding_of
+from samira_warp.data import FrameFiles, Listing
+from samira_warp.data.pictures import key_of, natural, pictures_of, stem_of
+from samira_warp.data.vhap import CANONICAL_FILE
+from samira_warp.errors import UserError
+from samira_warp.images import read_image, read_on_white, read_rgba
+
+_BATCH = 64
+"""Frames that are handed to the threads at once: what waits for its turn costs memory."""
+
+
+def undecodable(frames: Iterable[FrameFiles]) -> list[Finding]:
+    """Pictures, masks and albedos that cannot be decoded, and masks that are empty; with progress on standard error."""
+    frames = list(frames)
+    found: list[Finding] = []
+    with ThreadPoolExecutor(os.cpu_count()) as threads, tqdm(total=len(frames), desc="pictures", unit="frame", leave=False) as bar:
+        for first in range(0, len(frames), _BATCH):
+            batch = frames[first : first + _BATCH]
+            for findings in threads.map(_decoded, batch):
+                found += findings
+            bar.update(len(batch))
+    return found
+
+
+def unlisted(listing: Listing) -> list[Finding]:
+    """Pictures of a VHAP export that none of its lists names; readers of other formats note theirs.
+
+    Only lists that can be read are looked at: what is wrong with the others has been said.
+    """
+    if not (listing.root / CANONICAL_FILE).is_file():
+        return []
+    named = {key_of(frame.name) for frame in listing.frames}
+    for path in listing.root.glob("transforms*.json"):
+        try:
+            named |= {key_of(stem_of(entry["file_path"])) for entry in json.loads(path.read_text(encoding="utf-8"))["frames"]}
+        except (OSError, ValueError, KeyError, TypeError):
+            continue
+    found = []
+    for folder in sorted({frame.image_path.parent for frame in listing.frames}):
+        lost = sorted(set(_names(folder)) - named, key=natural)
+        if lost:
+            count = f"{len(lost)} pictures that no list names, the first is {lost[0]}"
+            found.append(
+                Finding(
+                    "warning", str(folder), "frames with parameters for all pictures", count, "export again to use them, or take them away"
+                )
+            )
+    return found
+
+
+def _names(folder: Path) -> Iterable[str]:
+    try:
+        return pictures_of(folder)
+    except UserError:  # two pictures of one name: which of them is used, the lists say
+        return ()
+
+
+def _decoded(frame: FrameFiles) -> list[Finding]:
+    """What is wrong with one frame's files."""
+    found = []
+    reads = [partial(read_rgba, frame.image_path)]
+    if frame.albedo_path is not None:
+        reads.append(partial(read_on_white, frame.albedo_path))
+    for read in reads:
+        try:
+            read()
+        except UserError as fault:
+            found.append(finding_of(fault))
+    if frame.mask_path is not None:
+        try:
+            covered = read_image(frame.mask_path, channels=1).max()
+        except UserError as fault:
+            return [*found, finding_of(fault)]
+        if covered < 0.5:
+            remedy = "make the mask again, or take the frame out of the lists"
+            found.append(Finding("warning", str(frame.mask_path), "a head that is covered", f"at most {covered:.0%} of coverage", remedy))
+    return found

@@ -1,0 +1,229 @@
+"""``python -m samira_warp.check``."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from data.damage import change_arrays, change_json, cut, widen, with_value
+from data.layouts import make_film_for, write_layout
+from data.tiny import make_tiny_dataset, tiny_template
+
+from samira_warp.check.__main__ import CheckConfig, main
+from samira_warp.check.drawing import CELL, mesh_overlay
+from samira_warp.check.findings import MOST_ALIKE
+from samira_warp.check.views import sampled_views
+from samira_warp.cli import run
+from samira_warp.data import open_sequence
+from samira_warp.images import read_image, write_png
+
+
+@pytest.fixture
+def dataset(tiny_dataset, tmp_path):
+    return shutil.copytree(tiny_dataset, tmp_path / "subject")
+
+
+def check(*arguments):
+    return run(main, CheckConfig, program="python -m samira_warp.check", arguments=[*map(str, arguments)])
+
+
+def facts(capsys, *arguments):
+    assert check("--quick", *arguments) == 0
+    captured = capsys.readouterr()
+    assert captured.err == ""
+    return {name: value.strip() for name, value in (line.split(":", 1) for line in captured.out.splitlines())}
+
+
+def faults(capsys, *arguments):
+    """The lines of a dataset that has faults."""
+    assert check("--quick", *arguments) == 2
+    captured = capsys.readouterr()
+    lines = [line.removeprefix("fault: ") for line in captured.out.splitlines() if line.startswith("fault: ")]
+    assert captured.err.count("\n") == 1
+    return lines
+
+
+def test_what_a_dataset_holds(tiny_dataset, capsys):
+    said = facts(capsys, "--data", tiny_dataset)
+    vertices = said.pop("template")
+    assert vertices.startswith(f"{tiny_dataset / 'template.npz'}: 328 vertices, ")
+    assert vertices.endswith("2 identity and 4 expression coefficients")
+    assert said == {
+        "folder": str(tiny_dataset),
+        "format": "VHAP export",
+        "frames": "6 at 6 timesteps",
+        "split": "dataset: 4 train, 2 test",
+        "size": "32 x 32",
+        "cameras": "1 pose, focal length 89.6 pixels",
+        "static offset": "none",
+        "identity": "coefficients from -0.10 to 0.10",
+        "expression": "coefficients from -0.46 to 0.46, the largest is expression3 in 00002_00",
+        "turn": "rotation up to 25, neck up to 0, jaw up to 0 degrees",
+        "distance": "0.96 to 0.98 metres from the camera",
+        "masks": "6 of 6 frames",
+        "albedo": "4 of 6 frames",
+    }
+
+
+def test_what_was_done_about_a_folder_is_said(tmp_path, capsys):
+    film = make_film_for("IMavatar")
+    film.world_to_camera[:] = film.world_to_camera[0]
+    root = write_layout("IMavatar", film, tmp_path / "subject")
+    np.savez(root / "template.npz", **tiny_template())
+    check("--quick", "--data", root)
+    said = capsys.readouterr().out
+    assert "format:        IMavatar's flame_params.json\n" in said
+    assert "note:          the dataset has no division of its own: the first 70 % of its timesteps train\n" in said
+
+
+def test_another_split(tiny_dataset, capsys):
+    assert facts(capsys, "--data", tiny_dataset, "--split", "last:1")["split"] == "last:1: 5 train, 1 test"
+
+
+def test_what_is_absent_is_said(tmp_path, capsys):
+    root = make_tiny_dataset(tmp_path / "subject", frames=4, static_offset=True)
+    for name in ("transforms_train.json", "transforms_test.json"):
+        change_json(root / name, lambda d: [entry.pop("fg_mask_path") for entry in d["frames"]])
+    shutil.rmtree(root / "albedo")
+    said = facts(capsys, "--data", root)
+    assert (said["masks"], said["albedo"], said["static offset"]) == ("0 of 4 frames", "0 of 4 frames", "present")
+
+
+def test_a_head_model_from_elsewhere(dataset, tmp_path, capsys):
+    (dataset / "template.npz").rename(tmp_path / "flame.npz")
+    assert facts(capsys, "--data", dataset, "--flame", tmp_path / "flame.npz")["template"].startswith(str(tmp_path / "flame.npz"))
+
+
+FIRST = "flame_param/00000.npz"
+DAMAGES = {
+    "no list": ("transforms_train.json", os.unlink, "export the dataset again"),
+    "a list that is none": ("transforms_test.json", lambda path: path.write_text("{"), "correct it there"),
+    "no image": ("images/00001_00.png", os.unlink, "take what names it out of the lists"),
+    "an image of another size": ("images/00001_00.png", widen, "bring it to that size"),
+    "a mask of another size": ("fg_masks/00001_00.png", widen, "bring it to that size"),
+    "an image that is text": ("images/00001_00.png", lambda path: path.write_text("hello"), "copy or export the picture again"),
+    "no key": (FIRST, lambda path: change_arrays(path, expr=None), "track or export this frame again"),
+    "another shape": (FIRST, lambda path: change_arrays(path, expr=lambda a: a[:, 1:]), "--flame"),
+    "NaN": (FIRST, lambda path: change_arrays(path, expr=with_value(float("nan"))), "track or export this frame again"),
+    "no template": ("template.npz", os.unlink, "flame.is.tue.mpg.de"),
+    "a broken template": ("template.npz", lambda path: path.write_text("hello"), "get or write the file again"),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGES)
+def test_a_fault_is_one_line_with_its_file_and_remedy(dataset, capsys, name):
+    file, damage, remedy = DAMAGES[name]
+    damage(dataset / file)
+    (line,) = faults(capsys, "--data", dataset)
+    assert line.startswith(str(dataset / file))
+    assert remedy in line
+
+
+def test_every_fault_is_told(dataset, capsys):
+    """Those of lists, entries, pictures and parameters, together with what is wrong with the head's place."""
+    files = ["images/00000_00.png", "fg_masks/00000_00.png", "images/00005_00.png", "flame_param/00001.npz"]
+    for file in files[:3]:
+        (dataset / file).unlink()
+    change_arrays(dataset / files[3], expr=with_value(float("nan")), jaw_pose=None)
+    change_json(dataset / "transforms_train.json", lambda d: d["frames"][2].update(transform_matrix=None))
+    for path in (dataset / "fg_masks").iterdir():
+        write_png(path, 1 - read_image(path, channels=1))
+    lines = faults(capsys, "--data", dataset)
+    places = [
+        *(str(dataset / file) for file in files[:2]), f"{dataset / 'transforms_train.json'}: frames[2]",
+        str(dataset / files[2]), f"{dataset / files[3]}: expr: expected finite", f"{dataset / files[3]}: expected the key jaw_pose",
+        f"{dataset / 'fg_masks'}: expected masks that are white on the head",
+    ]  # fmt: skip
+    assert len(lines) == len(places)
+    for place in places:
+        assert sum(line.startswith(place) for line in lines) == 1, (place, lines)
+
+
+def test_a_list_that_is_missing_hides_nothing_else(dataset, capsys):
+    (dataset / "transforms_train.json").unlink()
+    change_arrays(dataset / FIRST, expr=with_value(float("nan")))
+    first, second = faults(capsys, "--data", dataset)
+    assert first.startswith(f"{dataset / 'transforms_train.json'}: expected the dataset's list of frames")
+    assert second.startswith(f"{dataset / FIRST}: expr")
+
+
+def test_a_film_with_many_faults(tmp_path, capsys):
+    root = write_layout("metrical-tracker", make_film_for("metrical-tracker"), tmp_path / "subject")
+    np.savez(root / "template.npz", **tiny_template())
+    broken = [root / file for file in ("checkpoint/00001.frame", "checkpoint/00003.frame", "images/00004.png")]
+    for path in broken:
+        path.write_bytes(b"hello")
+    lines = faults(capsys, "--data", root)
+    assert [line.split(":")[0] for line in lines[:3]] == [*map(str, broken)]
+
+
+def test_broken_pixels_are_found_by_decoding(dataset, capsys):
+    files = ("albedo/00001_00.png", "images/00002_00.png", "fg_masks/00003_00.png")
+    for file in files:
+        cut(dataset / file)
+    assert check("--quick", "--data", dataset) == 0
+    capsys.readouterr()
+    assert check("--data", dataset, "--out", dataset.parent / "sheet.png") == 2
+    lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("fault: ")]
+    for file in files:
+        assert sum(str(dataset / file) in line for line in lines) == 1
+
+
+def test_many_alike_are_summed_up(tmp_path, capsys):
+    root = make_tiny_dataset(tmp_path / "subject", frames=20)
+    shutil.rmtree(root / "flame_param")
+    lines = faults(capsys, "--data", root)
+    assert len(lines) == MOST_ALIKE + 1
+    assert lines[-1] == f"{root / 'flame_param'}: {20 - MOST_ALIKE} more like these; --json names them all"
+    assert check("--quick", "--json", "--data", root) == 2
+    report = json.loads(capsys.readouterr().out)
+    assert len(report["findings"]) == 20
+    assert not report["trainable"]
+
+
+def test_the_sheet_shows_the_mesh_on_its_head(dataset, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert check("--data", dataset) == 0
+    assert "subject_check.png" in capsys.readouterr().err
+    sheet = read_image(tmp_path / "subject_check.png", channels=3)
+    assert min(sheet.shape[:2]) > CELL
+    frame = open_sequence(dataset).frames[0]
+    (view,) = sampled_views(open_sequence(dataset), [0])
+    drawn = mesh_overlay(view, open_sequence(dataset).template.faces, width=32, height=32)[..., 3] > 0.02
+    mask = read_image(frame.mask_path, channels=1)[..., 0] > 0.5
+    # the mesh is a sphere's of 20 columns, the mask the sphere's: they differ by less than a pixel along the border of some 60
+    assert np.count_nonzero(drawn ^ mask) < 60
+
+
+def test_a_sheet_that_cannot_be(tiny_dataset, tmp_path, capsys):
+    for out in (tmp_path / "sheet.jpg", tmp_path / "nowhere" / "sheet.png"):
+        assert check("--data", tiny_dataset, "--out", out) == 2
+        assert capsys.readouterr().err == f"error: --out: expected a .png in a folder that is there, found {out}\n"
+
+
+@pytest.mark.parametrize("options", [("--data", "nowhere"), ("--split", "half")])
+def test_what_cannot_be_read_at_all_is_one_line(tiny_dataset, capsys, options):
+    assert check("--data", tiny_dataset, *options) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert captured.err.startswith("error: ")
+    assert captured.err.count("\n") == 1
+
+
+def test_an_unknown_option_is_status_2(tiny_dataset, capsys):
+    with pytest.raises(SystemExit) as caught:
+        check("--data", tiny_dataset, "--spilt", "0.5")
+    assert caught.value.code == 2
+    assert "--spilt" in capsys.readouterr().err
+
+
+def test_the_process_ends_with_one_line_and_status_2(dataset):
+    change_arrays(dataset / FIRST, jaw_pose=with_value(float("nan")))
+    command = [sys.executable, "-m", "samira_warp.check", "--quick", "--data", str(dataset)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert done.returncode == 2
+    assert f"fault: {dataset / FIRST}: jaw_pose: expected finite numbers, found 1 that are not; " in done.stdout
+    assert done.stderr == f"error: {dataset}: expected a dataset to train on, found 1 fault\n"
