@@ -9,47 +9,15 @@ import sys
 import numpy as np
 import pytest
 import torch
+from data.damage import change_arrays, change_json, cut, widen, with_value
 from subjects import STEPS, train_arguments, train_command
 
 from samira_warp import Avatar
-from samira_warp.images import read_image, write_png
 
 
 @pytest.fixture
 def dataset(tiny_dataset, tmp_path):
     return shutil.copytree(tiny_dataset, tmp_path / "subject")
-
-
-def change_json(path, change):
-    document = json.loads(path.read_text())
-    change(document)
-    path.write_text(json.dumps(document))
-
-
-def change_arrays(path, **changes):
-    with np.load(path) as archive:
-        arrays = dict(archive)
-    for key, change in changes.items():
-        if change is None:
-            del arrays[key]
-        else:
-            arrays[key] = change(arrays[key])
-    np.savez(path, **arrays)
-
-
-def cut(path, *, end=6):
-    """Take an image's end away: six bytes are half of the last chunk, which a look at the header does not see."""
-    path.write_bytes(path.read_bytes()[:-end])
-
-
-def widen(path):
-    write_png(path, np.repeat(read_image(path, channels=3), 2, axis=1))
-
-
-def with_nan(array):
-    array = array.copy()
-    array.flat[0] = np.nan
-    return array
 
 
 TRAIN, FIRST = "transforms_train.json", "flame_param/00000.npz"
@@ -69,11 +37,11 @@ DAMAGES = {
     "no parameters": (FIRST, os.unlink, "no such file"),
     "no expression": (FIRST, lambda path: change_arrays(path, expr=None), "expr"),
     "too short an expression": (FIRST, lambda path: change_arrays(path, expr=lambda a: a[:, :-1]), "(1, 4)"),
-    "NaN in the parameters": (FIRST, lambda path: change_arrays(path, jaw_pose=with_nan), "finite"),
+    "NaN in the parameters": (FIRST, lambda path: change_arrays(path, jaw_pose=with_value(np.nan)), "finite"),
     "parameters that are no archive": (FIRST, lambda path: path.write_bytes(b"zip?"), "npz"),
     "another identity": (FIRST, lambda path: change_arrays(path, shape=lambda a: a + 1), "identity"),
     "a template without weights": ("template.npz", lambda path: change_arrays(path, weights=None), "weights"),
-    "a template with NaN": ("template.npz", lambda path: change_arrays(path, v_template=with_nan), "finite"),
+    "a template with NaN": ("template.npz", lambda path: change_arrays(path, v_template=with_value(np.nan)), "finite"),
     "no template": ("template.npz", os.unlink, "--flame"),
 }
 
