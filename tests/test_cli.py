@@ -51,7 +51,23 @@ def test_a_defect_of_ours_is_not_hidden():
         outcome(raising(ZeroDivisionError()))
 
 
-def test_a_wrong_option_is_status_two():
+@pytest.mark.parametrize(
+    ("options", "named"), [(("--size", "large"), "--size"), (("--size", "1", "--colour", "red"), "--colour"), (("--size",), "--size")]
+)
+def test_a_wrong_option_is_one_line_and_status_two(capsys, options, named):
     with pytest.raises(SystemExit) as left:
-        outcome(print, "--size", "large")
+        outcome(print, *options)
     assert left.value.code == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("error: ")
+    assert named in line
+    assert "─" not in line
+
+
+def test_help_goes_to_standard_output(capsys):
+    with pytest.raises(SystemExit) as left:
+        outcome(print, "--help")
+    assert left.value.code == 0
+    said = capsys.readouterr()
+    assert "--size" in said.out
+    assert not said.err
