@@ -1,0 +1,1 @@
+"""The geometry of the built-in head: sections, landmarks, organs, expressions, identities."""
