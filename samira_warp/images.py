@@ -248,6 +248,7 @@ def _write(path: Path, array: np.ndarray, pixel_type: object) -> None:
     height, width, channels = pixels.shape
     spec = oiio.ImageSpec(width, height, channels, pixel_type)
     spec.attribute("oiio:UnassociatedAlpha", 1)
+    spec.attribute("DateTime", "")  # an EXR would hold the hour: the same pixels make the same file
     output = oiio.ImageOutput.create(str(path))
     if output is None:
         raise OSError(f"{path}: cannot be written: {oiio.geterror()}")

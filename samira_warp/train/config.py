@@ -53,8 +53,8 @@ PRESETS = {
 class TrainConfig:
     """Train a relightable, animatable avatar from a tracked video of a head."""
 
-    data: Path
-    """Dataset folder: a VHAP export or any other format that samira_warp.check knows."""
+    data: Path | None = None
+    """Dataset folder: a VHAP export or any other format that samira_warp.check knows; default the built-in subject."""
     flame: Path | None = None
     """FLAME's file (.pkl or .npz, with its UV coordinates and masks beside it), or a template.npz, for a dataset without one."""
     out: Path | None = None

@@ -17,6 +17,7 @@ from samira_warp.devices import pick_device
 from samira_warp.errors import UserError
 from samira_warp.light import LearnableLight, decode_srgb
 from samira_warp.nets import MotionSettings, encode_reference
+from samira_warp.subject.cache import built_in_subject
 from samira_warp.train.config import PRESETS, SHORT_RUN, LossWeights, TrainConfig
 from samira_warp.train.initialize import choose_reference, condition_statistics, initial_albedo, initial_gaussians, view_of
 from samira_warp.train.unwrap import unwrap
@@ -44,7 +45,7 @@ class Start(NamedTuple):
 
 
 def resolve(config: TrainConfig) -> TrainConfig:
-    """Fill in what the preset and the machine decide.
+    """Fill in what the preset and the machine decide; without a dataset, make the built-in one if it is not there yet.
 
     Raises:
         UserError: A value is out of range, or a GPU is asked for where there is none.
@@ -56,7 +57,6 @@ def resolve(config: TrainConfig) -> TrainConfig:
         config,
         device=device,
         preset=preset,
-        out=config.out or Path("runs") / config.data.resolve().name,
         resolution=sizes.resolution if config.resolution is None else config.resolution,
         gaussians=sizes.gaussians if config.gaussians is None else config.gaussians,
     )
@@ -64,7 +64,8 @@ def resolve(config: TrainConfig) -> TrainConfig:
         value = getattr(config, name)
         if value is not None and value < 1:
             raise UserError(f"--{name.replace('_', '-')}", expected="a positive number", found=value)
-    return config
+    data = built_in_subject() if config.data is None else config.data
+    return replace(config, data=data, out=config.out or Path("runs") / data.resolve().name)
 
 
 def image_size(sequence: Sequence, resolution: int) -> tuple[int, int]:

@@ -1,0 +1,183 @@
+"""The dataset of the built-in subject: whole, readable, exact, and the same every time."""
+
+import importlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from stand_in import NAMES, PLAN, contents, stand_in
+from subjects import TESTS
+
+from samira_warp.cli import run
+from samira_warp.data import open_sequence
+from samira_warp.files import read_json
+from samira_warp.head import HeadModel
+from samira_warp.images import image_size, read_image
+from samira_warp.light import Environment
+from samira_warp.subject import cache
+from samira_warp.subject.make import make_subject
+from samira_warp.subject.performance import perform
+from samira_warp.subject.sky import CAPTURE, SKIES
+from samira_warp.subject.studio import threads
+
+SCRIPT = TESTS / "subject" / "stand_in.py"
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    """The stand-in's dataset, made by two threads."""
+    folder = tmp_path_factory.mktemp("made") / "subject"
+    with threads(2):
+        make_subject(folder, PLAN, stand_in())
+    return folder
+
+
+def command(folder, *options, threads=1):
+    environment = {**os.environ, "OMP_NUM_THREADS": str(threads)}
+    return subprocess.Popen(
+        [sys.executable, str(SCRIPT), "--out", str(folder), *options], env=environment, stderr=subprocess.PIPE, text=True
+    )
+
+
+def test_it_opens_with_the_frames_and_parameters_that_were_played(dataset):
+    sequence = open_sequence(dataset)
+    assert (len(sequence.train), len(sequence.test), sequence.notes) == (PLAN.train, PLAN.test, ())
+    played = perform(NAMES, train=PLAN.train, test=PLAN.test, seed=PLAN.seed)
+    for index, frame in enumerate(sequence.frames):
+        expected = played.frame(index)
+        for name in ("translation", "rotation", "neck", "jaw", "eyes", "expression"):
+            assert torch.equal(getattr(frame.parameters, name), getattr(expected, name))
+        assert (frame.albedo_path is not None) == (index in sequence.train)
+
+
+def test_everything_that_the_layout_names_is_there(dataset):
+    tests = [f"{index:05d}_00.png" for index in range(PLAN.train, PLAN.train + PLAN.test)]
+    for layer in ("albedo", "normal"):
+        assert sorted(path.name for path in (dataset / "gt" / layer).iterdir()) == tests
+    for name in SKIES:
+        described = dataset / "gt" / ("capture_light.json" if name == CAPTURE else f"relight/{name}.json")
+        light = read_json(described)
+        assert Environment.load(dataset / light["file"], rotate=light["azimuth_degrees"], exposure=light["exposure"], size=32)
+        if name != CAPTURE:
+            assert [path.name for path in (dataset / "gt" / "relight" / name).iterdir()] == tests[: PLAN.relit]
+    facts = read_json(dataset / "dataset.json")
+    assert (facts["frames"], facts["seed"]) == (PLAN.train + PLAN.test, PLAN.seed)
+    assert json.loads((dataset / "transforms_val.json").read_text())["frames"] == []
+
+
+def test_pictures_stand_on_white_and_normals_are_unit_vectors(dataset):
+    for index in range(PLAN.train + PLAN.test):
+        name = f"{index:05d}_00.png"
+        assert image_size(dataset / "images" / name) == (PLAN.size, PLAN.size)
+        mask = read_image(dataset / "fg_masks" / name, channels=1)
+        assert 0.1 < mask.mean() < 0.9
+        for layer in ("images", "albedo" if index < PLAN.train else "gt/albedo"):
+            assert (read_image(dataset / layer / name, channels=3)[mask[..., 0] == 0] == 1).all()
+        if index >= PLAN.train:
+            normal = 2 * read_image(dataset / "gt" / "normal" / name, channels=3) - 1
+            lengths = np.linalg.norm(normal, axis=2)
+            # eight bits are good to 1 / 255 in each axis
+            np.testing.assert_allclose(lengths[mask[..., 0] == 1], 1.0, atol=np.sqrt(3) / 255)
+            np.testing.assert_allclose(lengths[mask[..., 0] == 0], 0.0, atol=1.01 * np.sqrt(3) / 255)
+
+
+def test_the_tracked_mesh_lies_on_the_masks(dataset):
+    sequence = open_sequence(dataset)
+    model = HeadModel.build(sequence.template)
+    for frame in sequence.frames:
+        camera, vertices = frame.camera, model.vertices(frame.parameters, sequence.shape).vertices
+        seen = vertices @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
+        x, y = camera.fx * seen[:, 0] / seen[:, 2] + camera.cx, camera.fy * seen[:, 1] / seen[:, 2] + camera.cy
+        mask = read_image(frame.mask_path, channels=1)[..., 0] > 0
+        columns, rows = np.nonzero(mask.any(axis=0))[0], np.nonzero(mask.any(axis=1))[0]
+        # subdivision draws the coarse sphere's outline in by a sixth of an edge's sagitta: less than a pixel here
+        for found, expected in (
+            (columns[0], x.min()),
+            (columns[-1] + 1, x.max()),
+            (rows[0], y.min()),
+            (rows[-1] + 1, y.max()),
+        ):
+            assert abs(found - min(max(float(expected), 0.0), camera.width)) < 2.0
+
+
+def test_the_same_bytes_in_another_process_by_one_thread(dataset, tmp_path):
+    process = command(tmp_path / "again")
+    assert process.wait(timeout=300) == 0, process.stderr.read()
+    assert contents(dataset) == contents(tmp_path / "again")
+
+
+def test_another_seed_makes_another_subject(dataset, tmp_path):
+    make_subject(tmp_path / "other", replace(PLAN, seed=4, train=1, test=1), stand_in())
+    for name in ("images/00000_00.png", "images/00001_00.png", "flame_param/00001.npz"):
+        assert (dataset / name).read_bytes() != (tmp_path / "other" / name).read_bytes()
+
+
+def test_an_interrupt_leaves_nothing(tmp_path):
+    folder = tmp_path / "subject"
+    process = command(folder, "--train", "5000")
+    deadline = time.monotonic() + 120
+    while not list(tmp_path.glob(".subject.new/images/00002*")) and time.monotonic() < deadline:
+        assert process.poll() is None, process.stderr.read()
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    assert process.wait(timeout=60) == 130
+    assert list(tmp_path.iterdir()) == []
+    assert "Traceback" not in process.stderr.read()
+
+
+def test_train_takes_the_subject_that_is_in_the_cache(dataset, tmp_path, monkeypatch):
+    monkeypatch.setenv("SAMIRA_WARP_CACHE", str(tmp_path / "cache"))
+    folder = cache.subject_folder()
+    folder.parent.mkdir(parents=True)
+    folder.symlink_to(dataset)
+    options = ["--preset", "cpu", "--device", "cpu", "--encoder", "random", "--max-steps", "3", "--out", "run"]
+    done = subprocess.run([sys.executable, str(TESTS / "subjects.py"), *options], cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert sum(str(folder) in line for line in done.stderr.splitlines()) == 1
+    assert json.loads((tmp_path / "run" / "config.json").read_text())["settings"]["data"] == str(folder)
+    assert (tmp_path / "run" / "results.json").is_file()
+
+
+def test_it_is_made_once_and_said_where(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("SAMIRA_WARP_CACHE", str(tmp_path))
+    made = []
+
+    def make(folder, plan, cast):
+        made.append((plan.seed, cast))
+        folder.mkdir()
+
+    monkeypatch.setattr(cache, "make_subject", make)
+    monkeypatch.setattr(cache, "build_cast", lambda seed: "a cast")
+    assert cache.built_in_subject(7) == cache.built_in_subject(7) == cache.subject_folder(7)
+    assert made == [(7, "a cast")]
+    first, second = capsys.readouterr().err.splitlines()
+    assert "making" in first
+    assert "making" not in second
+    assert all(str(cache.subject_folder(7)) in line for line in (first, second))
+
+
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        ([], "--out"),
+        (["--out", "{there}"], "a new folder"),
+        (["--out", "new", "--train", "0"], "--train"),
+        (["--preview", "a.png", "--light", "moon"], "--light"),
+        (["--preview", "a.png", "--frame", "200"], "--frame"),
+    ],
+)
+def test_the_tool_says_in_one_line_what_is_wrong(options, complaint, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(TESTS.parent / "tools")
+    tool = importlib.import_module("make_subject")
+    arguments = [option.format(there=tmp_path) for option in options]
+    assert run(tool.main, tool.SubjectConfig, program="make_subject", arguments=arguments) == 2
+    assert complaint in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
