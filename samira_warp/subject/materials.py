@@ -15,7 +15,7 @@ from samira_warp.subject.paint.hair import brow_share, scalp_share, with_brows, 
 from samira_warp.subject.paint.layer import Paint
 from samira_warp.subject.paint.look import Look, look_of
 from samira_warp.subject.paint.organs import eye_paint, mouth_paint, teeth_paint, tongue_paint
-from samira_warp.subject.paint.skin import skin_paint, with_beard, with_freckles, with_lid_edges, with_lips
+from samira_warp.subject.paint.skin import skin_paint, with_beard, with_freckles, with_lid_edges, with_lips, with_nostrils
 from samira_warp.subject.paint.texels import Texels
 
 
@@ -91,7 +91,7 @@ def _map(texels: Texels, values: np.ndarray) -> torch.Tensor:
 def _surface(t: Texels, look: Look, *, seed: int) -> Paint:
     """Every part under its own paint."""
     skin = with_freckles(skin_paint(t, look, seed=seed), t, look, seed=seed)
-    skin = with_beard(skin, t, look, seed=seed)
+    skin = with_beard(with_nostrils(skin, t), t, look, seed=seed)
     skin = with_brows(with_scalp(skin, t, look, seed=seed), t, look, seed=seed)
     skin = with_lid_edges(with_lips(skin, t, look, seed=seed), t, look)
     inner = t.is_part("mouth") * np.clip((-t.lip - 17.0) / 4.0, 0.0, 1.0)

@@ -1,7 +1,7 @@
 """Pictures of a head by an independent ray caster: rays against a bounding volume hierarchy, nothing shared with the splatting.
 
 Camera rays meet the triangles; light comes from the sky, drawn by its brightness and by the surface's lobes together, with shadow rays and
-one bounce. Diffuse light is what the whole sky would give, which a table says exactly, times the share that the drawn directions leave of
+two bounces. Diffuse light is what the whole sky would give, which a table says exactly, times the share that the drawn directions leave of
 it. Every pixel draws numbers of its own, so a picture has the same bits for any number of threads.
 """
 
@@ -60,11 +60,11 @@ class Effort:
     """
 
     samples: int = 4
-    lights: int = 3
+    lights: int = 2
     lobes: int = 2
     more: int = 8
     rounds: int = 4
-    tolerance: float = 0.06
+    tolerance: float = 0.075
 
 
 class Picture(NamedTuple):
@@ -192,12 +192,13 @@ class _Sums(NamedTuple):
     def noisier_than(self, tolerance: float, camera: Camera) -> torch.Tensor:
         """(P,) bool: whether the error is above a share of the radiance, to which what no eye sees in the dark is added.
 
-        The error is that of a pixel and its neighbours together: a few samples that all missed a lamp do not know that they did.
+        The error is a pixel's own or, where that is larger, that of it and its neighbours together: a few samples that all missed a
+        lamp do not know that they did.
         """
         is_head = (self.hits > 0).float()
         squares = torch.stack([is_head * self.error() ** 2, is_head]).view(2, camera.height, camera.width)
         error, count = torch.nn.functional.avg_pool2d(squares, 3, stride=1, padding=1).flatten(1)
-        error = (error / count.clamp(min=1e-6)).sqrt() * is_head
+        error = torch.maximum((error / count.clamp(min=1e-6)).sqrt(), self.error()) * is_head
         return error > tolerance * (_luminance(self.light()) + DARK)
 
     def picture(self, counts: torch.Tensor, camera: Camera) -> Picture:

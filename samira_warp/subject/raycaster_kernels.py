@@ -1,4 +1,4 @@
-"""One pixel of a path-traced picture: camera rays, the sky with shadows, one bounce between surfaces."""
+"""One pixel of a path-traced picture: camera rays, the sky with shadows, two bounces between surfaces."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import math
 import warp as wp
 
 from samira_warp.light.environment import LUMINANCE as LUMINANCE_WEIGHTS
-from samira_warp.subject.raycaster_sampling import Sky, draw_point, look_at_sky, look_up_irradiance, sample_sky
-from samira_warp.subject.shading import Surface, channel_normal, lobe_density, reflect_diffuse, reflect_specular, sample_lobe
+from samira_warp.subject.raycaster_sampling import Sky, draw_point, look_at_sky, look_up_irradiance, sample_lit_sky, sample_sky
+from samira_warp.subject.shading import Surface, channel_normal, lobe_density, reflect_diffuse, reflect_specular, sample_cosine, sample_lobe
 
 PI = wp.constant(math.pi)
 
@@ -110,16 +110,31 @@ def _sees_sky(head: Head, surface: Surface, direction: wp.vec3) -> wp.bool:
 
 
 @wp.func
-def _bounced_light(head: Head, sky: Sky, hit: wp.MeshQueryRay, direction: wp.vec3, u: wp.vec2) -> wp.vec3:
-    """Radiance that another part of the head sends back, from one direction of the sky that it sees."""
+def _direct_light(head: Head, sky: Sky, surface: Surface, number: wp.int32, seed: wp.uint32) -> wp.vec3:
+    """Diffuse radiance of a surface that bumps and highlights do not matter on, from one direction of the sky."""
+    sample = sample_lit_sky(sky, surface.smooth_normal, number, seed)
+    cosine = wp.dot(surface.smooth_normal, sample.direction)
+    if sample.density <= 0.0:
+        return wp.vec3(0.0)
+    if not _sees_sky(head, surface, sample.direction):
+        return wp.vec3(0.0)
+    return wp.cw_mul(surface.albedo, sample.radiance) * (cosine / (PI * sample.density))
+
+
+@wp.func
+def _bounced_light(head: Head, sky: Sky, hit: wp.MeshQueryRay, direction: wp.vec3, number: wp.int32, seed: wp.uint32) -> wp.vec3:
+    """Radiance that other parts of the head send back: that of the part which was hit, and what reaches it from a second one.
+
+    Without the second one, what lies between lips and teeth is black.
+    """
     other = _surface_at(head, hit.face, hit.u, hit.v, -direction)
-    sample = sample_sky(sky, u)
-    cosine = wp.dot(other.smooth_normal, sample.direction)
-    if cosine <= 0.0:
-        return wp.vec3(0.0)
-    if not _sees_sky(head, other, sample.direction):
-        return wp.vec3(0.0)
-    return wp.cw_mul(other.albedo, sample.radiance) * (cosine / (PI * sample.density))
+    light = _direct_light(head, sky, other, number, seed + wp.uint32(3))
+    onward = sample_cosine(other.smooth_normal, draw_point(number, seed + wp.uint32(4)))
+    next_hit = wp.mesh_query_ray(head.mesh, other.position, onward, FAR)
+    if next_hit.result:
+        further = _surface_at(head, next_hit.face, next_hit.u, next_hit.v, -onward)
+        light += wp.cw_mul(other.albedo, _direct_light(head, sky, further, number, seed + wp.uint32(5)))
+    return light
 
 
 @wp.struct
@@ -172,7 +187,7 @@ def _shade(head: Head, sky: Sky, surface: Surface, index: wp.int32, lights: wp.i
     for draw in range(lobes):
         number = index * lobes + draw
         direction = sample_lobe(surface, draw_point(number, seed + wp.uint32(2)))
-        if wp.dot(surface.normal, direction) > 0.0:
+        if wp.max(wp.dot(surface.normal, direction), wp.dot(surface.smooth_normal, direction)) > 0.0:
             sample = look_at_sky(sky, direction)
             by_lobe = by_lobes * lobe_density(surface, direction)
             chance = by_sky * sample.density + by_lobe
@@ -182,7 +197,7 @@ def _shade(head: Head, sky: Sky, surface: Surface, index: wp.int32, lights: wp.i
             light.drawn += diffuse
             hit = wp.mesh_query_ray(head.mesh, surface.position, direction, FAR)
             if hit.result:
-                bounced = _bounced_light(head, sky, hit, direction, draw_point(number, seed + wp.uint32(3)))
+                bounced = _bounced_light(head, sky, hit, direction, number, seed)
                 light.rest += wp.cw_mul(reflected + wp.vec3(specular), bounced) / by_lobe
             else:
                 light.seen += diffuse

@@ -19,6 +19,9 @@ _HASH_2 = wp.constant(wp.uint32(0xC7AFE638))
 _HASH_3 = wp.constant(wp.uint32(0x8D22F6E6))
 """Multipliers of `_permute`, as published; even, so that a bit depends on lower ones alone."""
 
+CANDIDATES = wp.constant(4)
+"""Directions that `sample_lit_sky` chooses from: a shadow ray costs as much as some ten of them."""
+
 IRRADIANCE_ROWS = 64
 """Rows of the table of irradiance: a cosine is linear within a texel to 3e-4."""
 
@@ -239,3 +242,25 @@ def draw_point(index: wp.int32, seed: wp.uint32) -> wp.vec2:
     y = _reverse_bits(_permute(_second_sobol(shuffled), wp.randu(state)))
     unit = 1.0 / 16777216.0
     return wp.vec2(wp.float32(x >> wp.uint32(8)) * unit, wp.float32(y >> wp.uint32(8)) * unit)
+
+
+@wp.func
+def sample_lit_sky(sky: Sky, normal: wp.vec3, number: wp.int32, seed: wp.uint32) -> SkySample:
+    """A direction drawn by brightness and by its cosine with a unit normal; density 0 where none of the candidates lies above it.
+
+    One of some candidates by brightness, chosen by their cosines: resampled importance sampling (Talbot, Cline and Egbert, 2005). What is
+    called density makes radiance x cosine / density an unbiased estimate.
+    """
+    state = wp.rand_init(wp.int32(seed), number)
+    total = wp.float32(0.0)
+    chosen = SkySample()
+    for candidate in range(CANDIDATES):
+        sample = sample_sky(sky, draw_point(number * CANDIDATES + candidate, seed))
+        cosine = wp.max(wp.dot(normal, sample.direction), 0.0)
+        total += cosine
+        if cosine > 0.0 and wp.randf(state) * total < cosine:
+            chosen.direction = sample.direction
+            chosen.radiance = sample.radiance
+            chosen.density = sample.density * cosine
+    chosen.density = chosen.density * wp.float32(CANDIDATES) / wp.max(total, 1.0e-6)
+    return chosen

@@ -103,28 +103,41 @@ def reflect_specular(surface: Surface, light: wp.vec3) -> wp.float32:
 
 @wp.func
 def lobe_density(surface: Surface, light: wp.vec3) -> wp.float32:
-    """Chance per steradian that `sample_lobe` draws a direction."""
+    """Chance per steradian that `sample_lobe` draws a direction.
+
+    Diffuse directions are drawn about both normals: about one alone, those that lie low over it but not over the other, which diffuse
+    light follows as well, would come rarely and count much.
+    """
     cosine = wp.dot(surface.normal, light)
+    smooth_cosine = wp.max(wp.dot(surface.smooth_normal, light), 0.0)
     if cosine <= 0.0:
-        return 0.0
+        return (1.0 - SPECULAR_SHARE) * 0.5 * smooth_cosine / PI
     alpha = surface.roughness * surface.roughness
     normal_view = wp.max(wp.dot(surface.normal, surface.view), 1.0e-4)
     half = wp.normalize(surface.view + light)
     visible = 0.5 * _distribution(wp.dot(surface.normal, half), alpha) / (normal_view + _slope_term(normal_view, alpha))
-    return SPECULAR_SHARE * visible + (1.0 - SPECULAR_SHARE) * cosine / PI
+    return SPECULAR_SHARE * visible + (1.0 - SPECULAR_SHARE) * 0.5 * (cosine + smooth_cosine) / PI
+
+
+@wp.func
+def sample_cosine(normal: wp.vec3, u: wp.vec2) -> wp.vec3:
+    """A unit direction drawn by its cosine with a unit normal."""
+    tangent = tangent_of(normal)
+    turn = 2.0 * PI * u[1]
+    across = wp.sqrt(u[0]) * (wp.cos(turn) * tangent + wp.sin(turn) * wp.cross(normal, tangent))
+    return across + wp.sqrt(1.0 - u[0]) * normal
 
 
 @wp.func
 def sample_lobe(surface: Surface, u: wp.vec2) -> wp.vec3:
     """A unit direction from the mixture of both lobes, which may point below the surface, where it counts nothing."""
+    if u[0] >= SPECULAR_SHARE:
+        half_share = 2.0 * wp.min((u[0] - SPECULAR_SHARE) / (1.0 - SPECULAR_SHARE), 1.0)
+        if half_share < 1.0:
+            return sample_cosine(surface.normal, wp.vec2(half_share, u[1]))
+        return sample_cosine(surface.smooth_normal, wp.vec2(half_share - 1.0, u[1]))
     tangent = tangent_of(surface.normal)
     bitangent = wp.cross(surface.normal, tangent)
-    if u[0] >= SPECULAR_SHARE:
-        turn = 2.0 * PI * u[1]
-        squared = wp.min((u[0] - SPECULAR_SHARE) / (1.0 - SPECULAR_SHARE), 1.0)
-        radius = wp.sqrt(squared)
-        across = radius * (wp.cos(turn) * tangent + wp.sin(turn) * bitangent)
-        return across + wp.sqrt(1.0 - squared) * surface.normal
     alpha = surface.roughness * surface.roughness
     view = wp.vec3(wp.dot(surface.view, tangent), wp.dot(surface.view, bitangent), wp.max(wp.dot(surface.view, surface.normal), 1.0e-4))
     stretched = wp.normalize(wp.vec3(alpha * view[0], alpha * view[1], view[2]))

@@ -19,7 +19,7 @@ from samira_warp.subject.raycaster import Effort, Picture, PosedSkin, Skin
 from samira_warp.subject.raycaster_sampling import SkyTables
 from samira_warp.subject.subdivision import LoopSubdivision, split_corners
 
-FOCAL_SHARE = 2.8
+FOCAL_SHARE = 3.2
 """Focal length over image width: a portrait lens."""
 
 DISTANCE = 1.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from samira_warp.subject.anatomy.assembly import Anatomy
-from samira_warp.subject.anatomy.eyes import EYE, EYE_RADIUS, lid_edge
+from samira_warp.subject.anatomy.eyes import EYE, EYE_RADIUS, LID, lid_edge
 from samira_warp.subject.anatomy.layout import FAR
 from samira_warp.subject.anatomy.pulls import pull
 from samira_warp.subject.anatomy.rings import fade
@@ -60,7 +60,7 @@ def _turned(a: Anatomy, drop: np.ndarray, *, lower: float) -> np.ndarray:
     offset = a.points - EYE
     radius = np.hypot(offset[:, 1], offset[:, 2])
     # the edge comes down by `drop` in front view: an arc of the circle on which it moves
-    edge_radius = np.sqrt(np.maximum((EYE_RADIUS + 1.35) ** 2 - offset[:, 0] ** 2, 25.0))
+    edge_radius = np.sqrt(np.maximum((EYE_RADIUS + LID) ** 2 - offset[:, 0] ** 2, 25.0))
     start = np.arctan2(offset[:, 1], offset[:, 2])
     upper_edge = lid_edge(a.turn)[:, 1]
     arc = np.arcsin(np.clip(upper_edge / edge_radius, -0.98, 0.98)) - np.arcsin(np.clip((upper_edge - down) / edge_radius, -0.98, 0.98))

@@ -13,6 +13,12 @@ EYE = np.array([31.5, 0.0, 0.0])
 EYE_RADIUS = 13.0
 """Millimetres."""
 
+CORNEA = 0.45
+"""Millimetres by which the cornea stands out of the globe: half of nature, as linear lids cut across it in a blink."""
+
+LID = 1.5
+"""Millimetres between the globe and the outer edge of the lids."""
+
 IRIS_RADIUS = 5.9
 """Millimetres."""
 
@@ -50,7 +56,7 @@ def lid_rings() -> tuple[list[Ring], list[Ring]]:
     """Rings from behind the lid to its edge, and from there over the skin to the orbit's rim; angles run counter-clockwise in front."""
     turn = 2.0 * np.pi * np.arange(LID_VERTICES) / LID_VERTICES
     edge = lid_edge(turn)
-    rim = on_globe(edge, EYE_RADIUS + 1.35)
+    rim = on_globe(edge, EYE_RADIUS + LID)
     outer = [_skin_ring(turn, edge, rim, distance) for distance in DISTANCES]
     inward = edge / np.linalg.norm(edge, axis=1, keepdims=True)
     chart = outer[0].chart
@@ -86,7 +92,7 @@ def _skin_ring(turn: np.ndarray, edge: np.ndarray, rim: np.ndarray, distance: fl
     points[:, 2] += _folds(up, share * 15.5)
     from_globe = points - EYE
     length = np.linalg.norm(from_globe, axis=1)
-    wanted = smooth_maximum(length, np.full_like(length, EYE_RADIUS + 1.7 - 1.4 * share), 0.8 * (1.0 - share))
+    wanted = smooth_maximum(length, np.full_like(length, EYE_RADIUS + LID + 0.35 - 1.5 * share), 0.8 * (1.0 - share))
     return Ring(chart, EYE + from_globe * (wanted / length)[:, None], np.full(len(turn), share * 15.5))
 
 
@@ -115,5 +121,5 @@ def eyeball() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _globe(angle: float) -> float:
-    """Distance from the centre to the surface at an angle from the axis: the cornea stands out by a millimetre."""
-    return EYE_RADIUS + 0.9 * float(fade(angle, 0.1, 0.56))
+    """Distance from the centre to the surface at an angle from the axis: the cornea stands out."""
+    return EYE_RADIUS + CORNEA * float(fade(angle, 0.1, 0.56))

@@ -50,7 +50,7 @@ LOWER = (
 )
 """Rows of the lower teeth; their edges pass behind those of the upper ones."""
 
-FRONT_UPPER, FRONT_LOWER = 22.5, 19.5
+FRONT_UPPER, FRONT_LOWER = 23.5, 20.5
 """Millimetres, z of the incisors."""
 
 

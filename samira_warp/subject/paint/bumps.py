@@ -94,7 +94,7 @@ def resting_heights(t: Texels, *, hair: np.ndarray, brows: np.ndarray, seed: int
         t.points, wavelength=4.5, octaves=2, seed=seed + 141
     )
     lips = 0.09 * value_noise(t.points * (0.75, 0.1, 0.2), seed=seed + 142) * fade(t.lip, -2.0, 0.0)
-    crop = 0.14 * value_noise(t.points / 1.1, seed=seed + 143) * hair + 0.2 * brows
+    crop = 0.08 * value_noise(t.points / 0.9, seed=seed + 143) * hair + 0.2 * brows
     return (pores + lips + crop) * skin
 
 

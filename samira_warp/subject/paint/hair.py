@@ -26,7 +26,7 @@ def with_scalp(paint: Paint, t: Texels, look: Look, *, seed: int) -> Paint:
     share = scalp_share(t, seed=seed)
     streak = 0.6 * value_noise(t.points * (0.55, 0.13, 0.55), seed=seed + 81) + 0.5 * value_noise(t.points / 0.9, seed=seed + 82)
     colour = np.array(look.hair) * np.exp(0.35 * streak)[:, None]
-    crop = Paint.plain(colour, roughness=0.62, specular=0.035, scatter=0.0)
+    crop = Paint.plain(colour, roughness=0.72, specular=0.028, scatter=0.0)
     thin = np.clip(value_noise(t.points / 0.8, seed=seed + 83) * 0.9 + 2.4 * share - 0.7, 0.0, 1.0)
     return paint.under(crop, 0.94 * share**0.7 * thin)
 

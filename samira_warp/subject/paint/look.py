@@ -15,7 +15,7 @@ SKIN: tuple[Colour, ...] = ((0.60, 0.40, 0.31), (0.53, 0.335, 0.245), (0.42, 0.2
 IRIS: tuple[Colour, ...] = ((0.13, 0.20, 0.26), (0.16, 0.19, 0.13), (0.15, 0.085, 0.035), (0.055, 0.024, 0.010))
 """Blue-grey, green, hazel, brown."""
 
-HAIR: tuple[Colour, ...] = ((0.13, 0.075, 0.035), (0.05, 0.028, 0.016), (0.020, 0.014, 0.011), (0.17, 0.16, 0.15))
+HAIR: tuple[Colour, ...] = ((0.13, 0.075, 0.035), (0.038, 0.022, 0.013), (0.020, 0.014, 0.011), (0.17, 0.16, 0.15))
 """Fair, brown, black, grey."""
 
 
@@ -38,7 +38,7 @@ class Look:
     freckles: float
 
 
-FIRST = Look(skin=(0.60, 0.375, 0.265), iris=(0.14, 0.185, 0.19), hair=HAIR[1], beard=0.35, freckles=0.45)
+FIRST = Look(skin=(0.60, 0.375, 0.265), iris=(0.14, 0.185, 0.19), hair=HAIR[1], beard=0.28, freckles=0.45)
 """The person with seed 0."""
 
 

@@ -48,20 +48,20 @@ def teeth_paint(t: Texels, *, seed: int) -> Paint:
     enamel = enamel * (1.0 - gap)[:, None]
     # gums reach down between the teeth
     line = 0.10 - 0.16 * fade(between, 0.0, 0.25)
-    gum = np.array([0.36, 0.13, 0.12]) * (1.0 + 0.1 * value_noise(t.points / 1.5, seed=seed + 111))[:, None]
+    gum = np.array([0.48, 0.19, 0.17]) * (1.0 + 0.1 * value_noise(t.points / 1.5, seed=seed + 111))[:, None]
     share = fade(height + line, -0.06, 0.06)
     return Paint.plain(_over(enamel, gum, share), roughness=0.22, specular=0.04, scatter=0.3)
 
 
 def mouth_paint(t: Texels, *, seed: int) -> Paint:
     """Mucosa: red, darker with depth."""
-    shade = (1.0 - 0.75 * np.clip(1.6 * t.cavity, 0.0, 1.0)) * (
+    shade = (1.0 - 0.6 * np.clip(1.3 * t.cavity, 0.0, 1.0)) * (
         1.0 + 0.12 * fractal_noise(t.points, wavelength=5.0, octaves=2, seed=seed + 120)
     )
-    return Paint.plain(np.array([0.30, 0.085, 0.075]) * shade[:, None], roughness=0.3, specular=0.03, scatter=0.5)
+    return Paint.plain(np.array([0.50, 0.17, 0.15]) * shade[:, None], roughness=0.3, specular=0.03, scatter=0.5)
 
 
 def tongue_paint(t: Texels, *, seed: int) -> Paint:
     """A rough, pale red."""
     grain = 1.0 + 0.15 * value_noise(t.points / 0.9, seed=seed + 130)
-    return Paint.plain(np.array([0.38, 0.15, 0.14]) * grain[:, None], roughness=0.4, specular=0.03, scatter=0.7)
+    return Paint.plain(np.array([0.55, 0.24, 0.22]) * grain[:, None], roughness=0.4, specular=0.03, scatter=0.7)

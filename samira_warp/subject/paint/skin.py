@@ -49,6 +49,16 @@ def skin_paint(t: Texels, look: Look, *, seed: int) -> Paint:
     return Paint(paint.albedo, roughness, paint.specular + 0.006 * oily, paint.scatter)
 
 
+def with_nostrils(paint: Paint, t: Texels) -> Paint:
+    """The dark within the nostrils, deeper than their dents are."""
+    on_left = np.column_stack([np.abs(t.points[:, 0]), t.points[:, 1:]])
+    start, along = np.array([6.2, -42.8, 30.0]), np.array([4.0, 0.4, -3.0])
+    share = np.clip(((on_left - start) * along).sum(axis=1) / (along**2).sum(), 0.0, 1.0)
+    distance = np.linalg.norm(on_left - start - share[:, None] * along, axis=1)
+    inside = fade(distance, 1.0, 3.2) * t.is_part("skin")
+    return paint.tinted(np.power(np.array([0.22, 0.12, 0.11]), inside[:, None]))
+
+
 def with_freckles(paint: Paint, t: Texels, look: Look, *, seed: int) -> Paint:
     """Freckles over cheeks and nose, and a few moles anywhere."""
     points = t.points
