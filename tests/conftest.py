@@ -58,6 +58,27 @@ def tiny_run(tiny_dataset, tmp_path_factory):
     return folder
 
 
+@pytest.fixture(scope="session")
+def built_in_datasets(tmp_path_factory):
+    """Folders of the built-in subject's film in every layout, by its name; the first five of eight frames of 64 x 64 pixels train.
+
+    Tests that change one copy it first.
+    """
+    from data.built_in import built_in_film, write_built_in
+
+    return write_built_in(tmp_path_factory.mktemp("built in"), built_in_film(0))
+
+
+@pytest.fixture(scope="session")
+def built_in_run(built_in_datasets, tmp_path_factory):
+    """The finished run of `subjects.STEPS` steps on the built-in subject."""
+    from subjects import train_arguments, train_command
+
+    folder = tmp_path_factory.mktemp("run") / "out"
+    assert train_command(*train_arguments(built_in_datasets["VHAP export"], folder)) == 0
+    return folder
+
+
 @pytest.fixture(scope="session", autouse=True)
 def _own_cache(tmp_path_factory):
     """Tests keep nothing in the user's cache folder, nor find anything there."""

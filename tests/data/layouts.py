@@ -1,4 +1,4 @@
-"""The layouts in which other projects keep a tracked film, written from a small subject: what their own tools would have written.
+"""The layouts in which other projects keep a tracked film, written from any subject: what their own tools would have written.
 
 Each writer takes a `Film` in metres with OpenCV axes and a folder, and gives the options with which the folder is opened.
 """
@@ -35,6 +35,8 @@ class Film:
     eyelids: np.ndarray | None = None
     static_offset: np.ndarray | None = None
     names: list = field(default_factory=list)
+    pictures: np.ndarray | None = None  # (T, height, width, 4) uint8 on white, with coverage; None draws discs
+    albedo: np.ndarray | None = None  # (T, height, width, 3) uint8
 
     def __len__(self):
         return len(self.expression)
@@ -80,7 +82,10 @@ def fixed_intrinsics(film, *, centred=False):
 
 
 def picture(film, row, *, alpha=False):
-    """Pixels that tell the frame by their colour: a disc on a grey scene, whose coverage is a soft ramp."""
+    """The film's own, or pixels that tell the frame by their colour: a disc on a grey scene, whose coverage is a soft ramp."""
+    if film.pictures is not None:
+        rgb, coverage = film.pictures[row, :, :, :3], film.pictures[row, :, :, 3]
+        return (np.dstack([_off_white(rgb, coverage), coverage]) if alpha else rgb), coverage
     y, x = np.mgrid[0 : film.height, 0 : film.width] + 0.5
     distance = np.hypot(x - film.width / 2, y - film.height / 2) / (0.3 * film.height)
     mask = np.clip(4 * (1.1 - distance), 0, 1)
@@ -89,6 +94,12 @@ def picture(film, row, *, alpha=False):
     rgb = np.rint(colour).astype(np.uint8)
     coverage = np.rint(255 * mask).astype(np.uint8)
     return (np.dstack([rgb, coverage]) if alpha else rgb), coverage
+
+
+def _off_white(rgb, coverage):
+    """The colour that comes to ``rgb`` when it is laid on white."""
+    share = coverage[..., None] / 255.0
+    return np.rint(255.0 - (255.0 - rgb) / np.maximum(share, 1 / 255)).clip(0, 255).astype(np.uint8)
 
 
 def write_pictures(film, folder, *, suffix=".png", masks=None, mask_suffix=".png", alpha=False):
@@ -237,9 +248,10 @@ def take(film, rows):
         name: getattr(film, name)[rows]
         for name in ("expression", "rotation", "neck", "jaw", "eyes", "translation", "world_to_camera", "focal", "center")
     }
-    eyelids = None if film.eyelids is None else film.eyelids[rows]
+    some = {name: getattr(film, name) for name in ("eyelids", "pictures", "albedo")}
+    arrays |= {name: None if values is None else values[rows] for name, values in some.items()}
     kept = {name: getattr(film, name) for name in ("shape", "width", "height", "static_offset")}
-    return Film(**arrays, **kept, eyelids=eyelids, names=[film.names[row] for row in rows])
+    return Film(**arrays, **kept, names=[film.names[row] for row in rows])
 
 
 WRITERS = {

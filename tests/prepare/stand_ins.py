@@ -1,19 +1,16 @@
-"""A real video of the made-up subject, and small stand-ins for the programs that prepare calls."""
+"""A real video of the built-in subject, and small stand-ins for the programs that prepare calls."""
 
 import sys
 from fractions import Fraction
-from pathlib import Path
 
 import av
 import numpy as np
 
 from samira_warp.images import read_image
 
-TESTS = Path(__file__).resolve().parents[1]
-
-WIDTH, HEIGHT = 96, 64
-LEFT, TOP = 40, 8
-"""Where the subject's pictures of 32 x 32 pixels stand in the video."""
+WIDTH, HEIGHT = 144, 96
+LEFT, TOP, SIDE = 60, 32, 64
+"""Where the subject's pictures stand in the video, as large as they are: at its foot, so that the neck goes on below it."""
 
 BACKDROP = np.array([0.1, 0.8, 0.2])
 
@@ -70,34 +67,44 @@ if not Path("empty").exists():
 """
 
 EXPORT = """
-import json, sys
+import json, math, shutil, sys
 from pathlib import Path
 
-sys.path.insert(0, {tests!r})
-from data.tiny import make_tiny_dataset
-
-import shutil
 from PIL import Image
 from samira_warp.images import read_image, write_png
 
 options = dict(zip(sys.argv[1::2], sys.argv[2::2], strict=True))
 assert set(options) == {{"--src_folder", "--tgt_folder", "--background-color"}}, options
 film, names = json.loads((Path(options["--src_folder"]) / "config.yml").read_text())
-assert Image.open(Path(film) / "alpha_maps" / names[0]).mode == "L", "VHAP takes grey mattes alone"
-size = Image.open(Path(film) / "images" / names[0]).size[0]
-target = Path(options["--tgt_folder"])
+film, target, tracked = Path(film), Path(options["--tgt_folder"]), Path({dataset!r})
+assert Image.open(film / "alpha_maps" / names[0]).mode == "L", "VHAP takes grey mattes alone"
 if target.exists():
     target.rmdir()
-make_tiny_dataset(target, frames=len(names), size=size)
-shutil.rmtree(target / "albedo")
+for folder in ("images", "fg_masks", "flame_param"):
+    (target / folder).mkdir(parents=True)
+for name in ("template.npz", "canonical_flame_param.npz"):
+    shutil.copy(tracked / name, target)
+known, frames = json.loads((tracked / "transforms.json").read_text())["frames"], []
 for number, name in enumerate(names):
-    write_png(target / "images" / f"{{number:05d}}_00.png", read_image(Path(film) / "images" / name, channels=3))
-    write_png(target / "fg_masks" / f"{{number:05d}}_00.png", read_image(Path(film) / "alpha_maps" / name, channels=1))
+    of = known[number % len(known)]
+    files = {{"file_path": f"images/{{number:05d}}_00.png", "fg_mask_path": f"fg_masks/{{number:05d}}_00.png",
+              "flame_param_path": f"flame_param/{{number:05d}}.npz"}}
+    image = read_image(film / "images" / name, channels=3)
+    write_png(target / files["file_path"], image)
+    write_png(target / files["fg_mask_path"], read_image(film / "alpha_maps" / name, channels=1))
+    shutil.copy(tracked / of["flame_param_path"], target / files["flame_param_path"])
+    size = image.shape[0]
+    inner = {{key: of[key] * size / of["w"] for key in ("fl_x", "fl_y", "cx", "cy")}}
+    frames.append({{**of, **files, **inner, "w": size, "h": size, "timestep_index": number}})
+first_test = math.floor(0.7 * len(frames))
+for part, some in {{"": frames, "_train": frames[:first_test], "_test": frames[first_test:], "_val": []}}.items():
+    (target / f"transforms{{part}}.json").write_text(json.dumps({{"frames": some}}))
 """
+"""What was tracked is what is known of the subject: its frames in turn, at whatever size they have."""
 
 
 def write_video(path, dataset, *, count=12, rate=25):
-    """Film the made-up subject before a green wall, at its place in every picture; near enough to lossless."""
+    """Film the subject before a green wall, at its place in every picture; near enough to lossless."""
     images = sorted((dataset / "images").iterdir())
     with av.open(str(path), "w") as container:
         stream = container.add_stream("libx264", rate=Fraction(rate), options={"crf": "4"})
@@ -113,14 +120,14 @@ def filmed(image):
     """(HEIGHT, WIDTH, 3) uint8 picture of the subject before the wall."""
     mask = read_image(image.parents[1] / "fg_masks" / image.name, channels=1)
     picture = np.tile(BACKDROP, (HEIGHT, WIDTH, 1))
-    inside = picture[TOP : TOP + 32, LEFT : LEFT + 32]
+    inside = picture[TOP : TOP + SIDE, LEFT : LEFT + SIDE]
     inside[:] = mask * read_image(image, channels=3) + (1.0 - mask) * inside
     return np.rint(255.0 * picture).astype(np.uint8)
 
 
-def make_vhap(folder):
-    """A folder laid out as VHAP's, which runs with this Python; files named broken, slow or empty in it make it fail."""
-    for name, text in {"track.py": TRACK, "export_as_nerf_dataset.py": EXPORT.format(tests=str(TESTS))}.items():
+def make_vhap(folder, dataset):
+    """A folder laid out as VHAP's, which runs with this Python and knows a dataset; files named broken, slow or empty make it fail."""
+    for name, text in {"track.py": TRACK, "export_as_nerf_dataset.py": EXPORT.format(dataset=str(dataset))}.items():
         (folder / "vhap").mkdir(parents=True, exist_ok=True)
         (folder / "vhap" / name).write_text(text)
     (folder / "asset" / "flame").mkdir(parents=True)

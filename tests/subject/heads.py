@@ -7,7 +7,12 @@ import torch
 
 from samira_warp.head import HeadModel
 from samira_warp.subject.anatomy.assembly import PARTS
+from samira_warp.subject.anatomy.mouth import LINE
 from samira_warp.subject.head import ORIGIN, build_head
+
+MOUTH = (np.arange(-22.0, 22.1, 0.83), np.arange(LINE - 14.0, LINE + 14.0, 0.71))
+FACE = (np.arange(-62.0, 62.0, 1.3), np.arange(-112.0, 62.0, 1.4))
+"""Places, x and y in millimetres, between which no gap is as wide as what is looked for there."""
 
 
 @functools.cache
@@ -39,6 +44,16 @@ def expression(name):
 def people(count):
     """(count, 20) identities, those of seeds from 1 on."""
     return np.stack([build_head(seed).identity for seed in range(1, count + 1)])
+
+
+def lip_edges():
+    """(upper, lower) vertices where the lips meet, from the right corner to the left one."""
+    a, faces = anatomy(), build_head().template.faces
+    inside = a.is_part("mouth")
+    joining = faces[inside[faces].any(axis=1) & ~inside[faces].all(axis=1)]
+    edge = np.unique(joining[~inside[joining]])
+    edge = edge[np.argsort(a.points[edge, 0], kind="stable")]
+    return edge[a.turn[edge] > 0.1], edge[a.turn[edge] < -0.1]
 
 
 def normals(vertices, faces):

@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-from heads import anatomy, normals, parts_seen, people, pose, share_facing
-from test_expressions import FACE, MOUTH, lip_edges
+from heads import FACE, MOUTH, anatomy, lip_edges, normals, parts_seen, people, pose, share_facing
 
 from samira_warp.subject.anatomy.eyes import EYE, EYE_RADIUS
 from samira_warp.subject.anatomy.identity import IDENTITIES

@@ -131,8 +131,9 @@ def test_a_wall_takes_half_the_sky_and_sends_a_share_back(wall_albedo):
     surface = posed(skin(vertices, np.arange(12).reshape(4, 3).tolist(), texel_columns=[0.5, wall_albedo]))
     effort = Effort(samples=64, lights=4, lobes=4, rounds=0)
     picture = surface.render(camera(field=0.002, center=(0.01, 0.0, 1.0)), uniform_sky(), effort=effort, seed=3)
-    # the wall sees half the sky as well; light that comes back a second time is not followed
-    expected = 0.5 * (0.5 + 0.5 * wall_albedo * 0.5)
+    # the wall sees half the sky and half the floor, which sees half the sky; light that goes on from there is not followed
+    wall = wall_albedo * (0.5 + 0.5 * 0.5 * 0.5)
+    expected = 0.5 * (0.5 + 0.5 * wall)
     spread = float(picture.radiance[..., 0].std()) / 16
     # the wall ends after 5 m and the patch lies 1 cm from it: 1e-3 of the sky
     assert abs(float(picture.radiance[..., 0].mean()) - expected) < 4 * spread + 2e-3
