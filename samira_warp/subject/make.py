@@ -245,7 +245,7 @@ def _facts(plan: SubjectPlan, performance: Performance) -> dict[str, object]:
         "frames_per_second": FRAMES_PER_SECOND,
         "plan": asdict(plan),
         "what": "A procedural head under a procedural sky, by an independent ray caster: shadows, two bounces, GGX, bumps, and wrinkles "
-        "that come with expressions. The surface is the template's, subdivided once, with lids kept off the eyeballs; parameters are exact.",
+        "that come with expressions. The surface is the template's, subdivided once, with lids kept off the eyeballs. Tracks are exact.",
         "layout": "VHAP / GaussianAvatars export; template.npz is the head model with FLAME's keys",
         "world": "metres, y up, the face looks along +z; OpenGL camera-to-world in transforms.json",
         "colour": "image = sRGB encode(linear radiance x exposure), clipped, then composited on white with fg_masks in display space",
