@@ -21,17 +21,25 @@ def cache_folder() -> Path:
     """Where this project keeps what it can make again: ``SAMIRA_WARP_CACHE``, else its own folder among the user's caches.
 
     Nothing is made on disk.
+
+    Raises:
+        UserError: Neither the environment nor the system knows of a folder for it.
     """
     chosen = os.environ.get("SAMIRA_WARP_CACHE")
     if chosen:
         return Path(chosen)
+    try:
+        return _users_caches() / "samira_warp"
+    except RuntimeError as error:  # of Path.home()
+        raise UserError("SAMIRA_WARP_CACHE", expected="a folder to keep the built-in subject in", found="no home folder") from error
+
+
+def _users_caches() -> Path:
     if sys.platform == "win32":
-        caches = Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
-    elif sys.platform == "darwin":
-        caches = Path.home() / "Library" / "Caches"
-    else:
-        caches = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
-    return caches / "samira_warp"
+        return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
 
 
 def replace_folder(target: Path, write: Callable[[Path], None]) -> None:
@@ -105,7 +113,11 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def _flush(path: Path) -> None:
-    descriptor = os.open(path, os.O_RDONLY)
+    """Have the disk hold a file, or the names in a folder; Windows opens no folders, and flushes only what is open for writing."""
+    on_windows = sys.platform == "win32"
+    if on_windows and path.is_dir():
+        return
+    descriptor = os.open(path, os.O_RDWR if on_windows else os.O_RDONLY)
     try:
         os.fsync(descriptor)
     finally:

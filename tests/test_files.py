@@ -1,9 +1,13 @@
+import os
+import pwd
+import sys
+
 import pytest
 import torch
 from safetensors.torch import load_file
 
 from samira_warp import UserError
-from samira_warp.files import read_json, replace_file, replace_folder, save_tensors
+from samira_warp.files import cache_folder, read_json, replace_file, replace_folder, save_tensors
 
 
 def write_one(text):
@@ -77,3 +81,43 @@ def test_tensors_come_back_and_a_file_that_cannot_be_written_is_named(tmp_path):
     assert all(torch.equal(found[name], value) for name, value in values.items())
     with pytest.raises(OSError, match=r"nowhere.*t\.safetensors"):
         save_tensors(values, tmp_path / "nowhere" / "t.safetensors")
+
+
+def test_a_user_without_a_home_is_told_how_to_name_a_folder(monkeypatch):
+    for name in ("SAMIRA_WARP_CACHE", "XDG_CACHE_HOME", "HOME"):
+        monkeypatch.delenv(name, raising=False)
+
+    def unknown(user):
+        raise KeyError(user)
+
+    monkeypatch.setattr(pwd, "getpwuid", unknown)
+    with pytest.raises(UserError, match=r"SAMIRA_WARP_CACHE: expected a folder .* found no home folder"):
+        cache_folder()
+
+
+def test_folders_are_replaced_on_windows(tmp_path, monkeypatch):
+    """Windows opens no folder, and flushes no file that is open for reading alone."""
+    flushed, kept = [], {}
+    open_here = os.open
+
+    def open_there(path, flags, *rest):
+        if os.path.isdir(path):
+            raise PermissionError(13, "Permission denied", str(path))
+        descriptor = open_here(path, flags, *rest)
+        kept[descriptor] = os.fspath(path), flags
+        return descriptor
+
+    def flush_there(descriptor):
+        path, flags = kept[descriptor]
+        assert flags & os.O_RDWR
+        flushed.append(os.path.basename(path))
+
+    monkeypatch.setattr(sys, "platform", "win32")
+    monkeypatch.setattr(os, "open", open_there)
+    monkeypatch.setattr(os, "fsync", flush_there)
+    replace_folder(tmp_path / "folder", write_one("first"))
+    replace_file(tmp_path / "a.json", "{}")
+    monkeypatch.undo()
+    assert flushed == ["one", ".a.json.new"]
+    assert (tmp_path / "folder" / "one").read_text() == "first"
+    assert read_json(tmp_path / "a.json") == {}

@@ -22,7 +22,7 @@ def write_hdr(path: Path) -> None:
 
 
 def test_the_example_writes_its_picture(tiny_run, tmp_path):
-    shutil.copytree(tiny_run, tmp_path / "runs" / "ict_a")
+    shutil.copytree(tiny_run, tmp_path / "runs" / "built_in")
     write_hdr(tmp_path / "studio.hdr")
     (example,) = python_blocks()
     done = subprocess.run([sys.executable, "-c", example], cwd=tmp_path, capture_output=True, text=True, timeout=300)

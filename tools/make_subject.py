@@ -6,6 +6,7 @@ usage: python tools/make_subject.py --seed N --out DIR [--resolution N]
 
 from __future__ import annotations
 
+import os
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,7 +14,7 @@ from pathlib import Path
 from samira_warp.cli import run
 from samira_warp.errors import UserError
 from samira_warp.images import write_png
-from samira_warp.subject.cache import build_cast
+from samira_warp.subject.cast import build_cast
 from samira_warp.subject.make import SIZE, TEXELS, Light, SubjectPlan, make_subject
 from samira_warp.subject.performance import perform
 from samira_warp.subject.raycaster import Effort
@@ -21,6 +22,10 @@ from samira_warp.subject.sky import CAPTURE, SKIES
 from samira_warp.subject.studio import Studio, developed
 
 PREVIEW_EFFORT = Effort(samples=16, more=16, tolerance=0.02)
+"""Rays of a picture that is looked at: an error of 2 % of the radiance is about one of 256 levels in skin's display values."""
+
+LARGEST_SEED = 2**31 - 1
+"""What the ray caster's kernels take: an int32."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +33,7 @@ class SubjectConfig:
     """Make a subject like the built-in one, or one large picture of it."""
 
     seed: int = 0
-    """Whose head it is, and what it does."""
+    """Whose head it is, and what it does; 0 to 2^31 - 1."""
     out: Path | None = None
     """Folder of the dataset to make."""
     resolution: int = SIZE
@@ -50,37 +55,56 @@ class SubjectConfig:
 
 
 def main(config: SubjectConfig) -> None:
-    """Make what was asked for."""
-    if config.out is None and config.preview is None:
-        raise UserError("--out", expected="a folder to make, or --preview FILE.png", found="neither")
-    for name, least in (("seed", 0), ("resolution", 1), ("train", 1), ("test", 1), ("relit", 0), ("preview_size", 1)):
-        if getattr(config, name) < least:
-            raise UserError(f"--{name.replace('_', '-')}", expected=f"at least {least}", found=getattr(config, name))
+    """Make what was asked for, once all of it is known to be possible."""
+    _check_numbers(config)
+    _check_targets(config)
     if config.preview is not None:
-        _write_preview(config)
+        _write_preview(config, config.preview)
     if config.out is not None:
-        if config.out.exists():
-            raise UserError(config.out, expected="a new folder", found="one that exists")
         texels = _texels(config.resolution)
-        plan = SubjectPlan(config.seed, config.train, config.test, min(config.relit, config.test), config.resolution, texels)
+        plan = SubjectPlan(config.seed, config.train, config.test, config.relit, config.resolution, texels)
         make_subject(config.out, plan, build_cast(config.seed, texels=texels))
 
 
-def _write_preview(config: SubjectConfig) -> None:
-    """One picture of one frame under one light."""
+def _check_numbers(config: SubjectConfig) -> None:
+    for name, least in (("seed", 0), ("resolution", 1), ("train", 1), ("test", 1), ("relit", 0), ("preview_size", 1)):
+        if getattr(config, name) < least:
+            raise UserError(f"--{name.replace('_', '-')}", expected=f"at least {least}", found=getattr(config, name))
+    if config.seed > LARGEST_SEED:
+        raise UserError("--seed", expected=f"at most {LARGEST_SEED}", found=config.seed)
     if config.light not in SKIES:
         raise UserError("--light", expected=f"one of {', '.join(SKIES)}", found=config.light)
     if not 0 <= config.frame < config.train + config.test:
         raise UserError("--frame", expected=f"0 to {config.train + config.test - 1}", found=config.frame)
+
+
+def _check_targets(config: SubjectConfig) -> None:
+    if config.out is None and config.preview is None:
+        raise UserError("--out", expected="a folder to make, or --preview FILE.png", found="neither")
+    if config.out is not None and os.path.lexists(config.out):
+        raise UserError(config.out, expected="a new folder", found="one that exists" if config.out.is_dir() else "a file")
+    if config.preview is not None:
+        if config.preview.suffix.lower() != ".png" or config.preview.is_dir():
+            found = "a folder" if config.preview.is_dir() else f"{config.preview.suffix!r}"
+            raise UserError(config.preview, expected="the name of a .png file", found=found)
+        if not config.preview.parent.is_dir():
+            raise UserError(config.preview.parent, expected="a folder for the picture", found="none")
+
+
+def _write_preview(config: SubjectConfig, path: Path) -> None:
+    """One picture of one frame under one light."""
     cast = build_cast(config.seed, texels=_texels(config.preview_size))
     performance = perform(cast.template.expression_names, train=config.train, test=config.test, seed=config.seed)
     studio = Studio(cast, size=config.preview_size, effort=PREVIEW_EFFORT)
     picture = studio.take(studio.pose(performance.frame(config.frame)), Light(config.light).tables, seed=config.seed)
-    write_png(config.preview, developed(picture))
+    write_png(path, developed(picture))
 
 
 def _texels(size: int) -> int:
-    """Width and height of the maps for pictures of a size."""
+    """Width and height of the maps for pictures of a size: as many a pixel as the built-in subject has.
+
+    At most at twice its width, though: painting takes half a minute and more than 2 GB there, and four times that at the next step.
+    """
     return TEXELS * min(max(size // SIZE, 1), 2)
 
 

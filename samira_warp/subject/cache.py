@@ -2,50 +2,93 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
-import torch
-from filelock import FileLock
-from tqdm import tqdm
+from filelock import FileLock, Timeout
 
-from samira_warp.files import cache_folder
-from samira_warp.subject.head import build_head
-from samira_warp.subject.make import TEXELS, VERSION, SubjectPlan, make_subject
-from samira_warp.subject.materials import paint
-from samira_warp.subject.studio import Cast, threads
+from samira_warp.errors import UserError
+from samira_warp.files import cache_folder, read_json
+from samira_warp.subject.cast import build_cast
+from samira_warp.subject.make import VERSION, SubjectPlan, make_subject
+
+_ELSEWHERE = "(SAMIRA_WARP_CACHE names another)"
 
 
 def subject_folder(seed: int = 0) -> Path:
-    """The folder of the dataset of a seed, whether it is there or not."""
+    """The folder of the dataset of a seed, whether it is there or not.
+
+    Raises:
+        UserError: The user has no home folder, and SAMIRA_WARP_CACHE names no other.
+    """
     return cache_folder() / "subject" / f"subject-{VERSION}-seed{seed}"
 
 
 def built_in_subject(seed: int = 0) -> Path:
-    """The folder of the built-in subject's dataset, which is made on its first use; one line says where it is, and why.
+    """The folder of the built-in subject's dataset, which is made on its first use; a line on standard error says that it is being made.
+
+    A folder that is not whole, or that holds something else, is made again.
 
     Raises:
-        OSError: It cannot be written.
+        UserError: It cannot be written.
     """
     folder = subject_folder(seed)
-    if not folder.is_dir():
-        folder.parent.mkdir(parents=True, exist_ok=True)
-        # another process may be making it
-        with FileLock(folder.parent / f".{folder.name}.lock"):
-            if not folder.is_dir():
-                print(f"no --data: making the built-in subject, once, in {folder}", file=sys.stderr)
-                make_subject(folder, SubjectPlan(seed=seed), build_cast(seed))
-                return folder
-    print(f"no --data: the built-in subject, in {folder}", file=sys.stderr)
+    try:
+        if not _is_whole(folder, seed):
+            folder.parent.mkdir(parents=True, exist_ok=True)
+            with _alone(folder):
+                if not _is_whole(folder, seed):  # another process may have made it
+                    _announce(folder)
+                    make_subject(folder, SubjectPlan(seed=seed), build_cast(seed))
+    except OSError as error:
+        raise UserError(folder, expected=f"a folder that can be written {_ELSEWHERE}", found=error) from error
     return folder
 
 
-def build_cast(seed: int, *, texels: int = TEXELS) -> Cast:
-    """Whose head it is, and what it is made of: with a progress bar, and the same for any number of threads."""
-    with threads(1), tqdm(total=2, unit="part", desc="shaping the head", dynamic_ncols=True) as bar:
-        head = build_head(seed)
-        bar.update()
-        bar.set_description("painting the head")
-        materials = paint(head, seed=seed, size=texels)
-        bar.update()
-    return Cast(head.template, torch.from_numpy(head.identity), materials)
+def _is_whole(folder: Path, seed: int) -> bool:
+    """Whether the folder holds what this version makes of a seed.
+
+    Raises:
+        UserError: It is no folder: somebody's file is not replaced.
+    """
+    if not folder.is_dir():
+        if os.path.lexists(folder):
+            raise UserError(folder, expected=f"a folder {_ELSEWHERE}", found="a broken link" if folder.is_symlink() else "a file")
+        return False
+    try:
+        facts = read_json(folder / "dataset.json")
+    except UserError:
+        return False
+    return (facts.get("version"), facts.get("seed")) == (VERSION, seed)
+
+
+def _announce(folder: Path) -> None:
+    if folder.exists():
+        print(f"{folder} is not the whole built-in subject: making it again", file=sys.stderr)
+    else:
+        print(f"making the built-in subject, once, in {folder}", file=sys.stderr)
+
+
+@contextlib.contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """Keep other processes from making the same folder meanwhile; where one is at it, say so and wait for its end.
+
+    Raises:
+        UserError: The file system has no locks.
+    """
+    lock = FileLock(folder.parent / f".{folder.name}.lock")
+    try:
+        try:
+            lock.acquire(timeout=0)
+        except Timeout:
+            print(f"another process is making the built-in subject in {folder}; waiting", file=sys.stderr)
+            lock.acquire()
+    except NotImplementedError as error:
+        raise UserError(folder, expected=f"a folder whose file system has locks {_ELSEWHERE}", found=error) from error
+    try:
+        yield
+    finally:
+        lock.release()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-SIDES = ("", "_L", "_R", "Left", "Right")
+SIDES = ("", "_L", "_R")
 """What may follow a shape's name: a gesture that names no side moves both."""
 
 
@@ -26,7 +26,7 @@ UPPER = (
     Gesture({"browDown": 1.0, "eyeSquint": 0.5, "noseSneer": 0.2}),
     Gesture({"browInnerUp": 1.0, "browDown": 0.3}),
     Gesture({"eyeWide": 1.0, "browOuterUp": 0.5, "browInnerUp": 0.3}),
-    Gesture({"eyeSquint": 1.0, "cheekSquint": 0.7, "cheekRaiser": 0.7, "browDown": 0.3}),
+    Gesture({"eyeSquint": 1.0, "cheekSquint": 0.7, "browDown": 0.3}),
     Gesture({"noseSneer": 0.9, "browDown": 0.5, "eyeSquint": 0.3}),
     Gesture({"browOuterUp_L": 0.9, "browDown_R": 0.6}),
     Gesture({"browOuterUp_R": 0.9, "browDown_L": 0.6}),
@@ -34,7 +34,7 @@ UPPER = (
 """Brows, eyes and nose."""
 
 LOWER = (
-    Gesture({"mouthSmile": 0.9, "cheekSquint": 0.4, "mouthDimple": 0.3}),
+    Gesture({"mouthSmile": 0.9, "cheekSquint": 0.4, "mouthDimple": 0.6}),
     Gesture({"mouthFunnel": 0.7}, jaw=0.4),
     Gesture({"mouthPucker": 0.9}),
     Gesture({}, jaw=1.0),
@@ -46,7 +46,7 @@ LOWER = (
     Gesture({"mouthLeft": 0.8, "jawLeft": 0.5, "mouthSmile_L": 0.4}),
     Gesture({"mouthRight": 0.8, "jawRight": 0.5, "mouthSmile_R": 0.4}),
     Gesture({"mouthUpperUp": 0.8, "noseSneer": 0.5}, jaw=0.1),
-    Gesture({"mouthClose": 0.5, "mouthShrugUpper": 0.5}, jaw=0.5),
+    Gesture({"mouthShrugUpper": 0.8, "mouthRollLower": 0.4}, jaw=0.2),
     Gesture({"jawForward": 0.8, "mouthShrugLower": 0.4}, jaw=0.1),
 )
 """Mouth, cheeks and chin."""
@@ -60,18 +60,11 @@ SPEECH = (
 )
 """What the mouth passes through in talking."""
 
-BLINK, LOOK = "eyeBlink", "eyeLook"
-"""What the shapes of closed lids are called, and how the names begin of those by which lids follow the gaze."""
+BLINK = "eyeBlink"
+"""How the names of the shapes that close the eyes begin."""
 
 
 def shapes_of(gesture: Gesture, names: tuple[str, ...]) -> dict[int, float]:
     """A gesture's coefficients by index, of those shapes that there are."""
     index_of = {name: index for index, name in enumerate(names)}
     return {index_of[name + side]: value for name, value in gesture.shapes.items() for side in SIDES if name + side in index_of}
-
-
-def lower_gestures(names: tuple[str, ...]) -> tuple[Gesture, ...]:
-    """LOWER, and each shape alone that takes part in nothing else; lids and gaze move by themselves."""
-    used = {index for gesture in (*UPPER, *LOWER, *SPEECH) for index in shapes_of(gesture, names)}
-    idle = (name for index, name in enumerate(names) if index not in used and not name.startswith((BLINK, LOOK)))
-    return (*LOWER, *(Gesture({name: 0.8}) for name in idle))

@@ -13,15 +13,16 @@ from samira_warp.subject.anatomy.expressions import expressions
 from samira_warp.subject.anatomy.identity import IDENTITIES, identities
 from samira_warp.subject.anatomy.masks import masks
 from samira_warp.subject.anatomy.skinning import joint_regressor, skinning_weights
+from samira_warp.subject.streams import Purpose, generator_of
 
 ORIGIN = np.array([0.0, 35.0, 70.0])
 """Millimetres from the anatomy's origin, between the eyes, to the template's, in the middle of the skull as FLAME has it; added."""
 
-FIRST_IDENTITY = (0.0,) * len(IDENTITIES)
-"""Identity of the subject with seed 0: the mean."""
-
 SPREAD = 0.8
 """Standard deviations of other seeds' identities in units of the shapes: below 1, so that twenty at once stay plausible."""
+
+FARTHEST = 1.8
+"""Coefficients stay within this: lids and lips close up to there (tests/subject/test_identity.py)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,8 +42,9 @@ class SubjectHead:
 
 def build_head(seed: int = 0) -> SubjectHead:
     """The head with one person's identity; seed 0 is the mean person."""
-    rng = np.random.default_rng(seed)
-    identity = np.clip(SPREAD * rng.standard_normal(len(IDENTITIES)), -1.8, 1.8) if seed else np.array(FIRST_IDENTITY)
+    identity = np.zeros(len(IDENTITIES))
+    if seed:
+        identity = np.clip(SPREAD * generator_of(seed, Purpose.IDENTITY).standard_normal(len(IDENTITIES)), -FARTHEST, FARTHEST)
     return SubjectHead(build_template(), mean_anatomy(), identity.astype(np.float32))
 
 

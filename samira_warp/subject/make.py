@@ -22,6 +22,7 @@ from samira_warp.subject.performance import FRAMES_PER_SECOND, Performance, perf
 from samira_warp.subject.raycaster import Effort, Picture
 from samira_warp.subject.raycaster_sampling import SkyTables
 from samira_warp.subject.sky import CAPTURE, SKIES, exposure_of, paint_sky
+from samira_warp.subject.streams import Purpose, generator_of, number_of
 from samira_warp.subject.studio import Cast, Studio, developed, on_white, threads
 
 VERSION = 1
@@ -75,9 +76,10 @@ class Light:
 
     def __init__(self, name: str) -> None:
         self.name = name
-        self.radiance = paint_sky(SKIES[name])
-        self.exposure = exposure_of(self.radiance)
-        self.tables = SkyTables.build(self.radiance * self.exposure)
+        with threads(1):
+            self.radiance = paint_sky(SKIES[name])
+            self.exposure = exposure_of(self.radiance)
+            self.tables = SkyTables.build(self.radiance * self.exposure)
 
     @property
     def file(self) -> str:
@@ -111,9 +113,8 @@ class _Maker:
         self._plan = plan
         self._cast = cast
         self._studio = Studio(cast, size=plan.size, effort=plan.effort)
-        with threads(1):
-            self._lights = {name: Light(name) for name in SKIES}
-            self._performance = perform(cast.template.expression_names, train=plan.train, test=plan.test, seed=plan.seed)
+        self._lights = {name: Light(name) for name in SKIES}
+        self._performance = perform(cast.template.expression_names, train=plan.train, test=plan.test, seed=plan.seed)
 
     def make(self) -> None:
         """Write all of it."""
@@ -141,7 +142,7 @@ class _Maker:
         posed = self._studio.pose(parameters)
         trains = index < self._plan.train
         bar.set_description(f"frame {index} under {CAPTURE}")
-        picture = self._studio.take(posed, self._lights[CAPTURE].tables, seed=self._seed(index, 0))
+        picture = self._studio.take(posed, self._lights[CAPTURE].tables, seed=number_of(self._plan.seed, Purpose.RAYS, index, 0))
         bar.update()
         file = f"{index:05d}_00.png"
         write_png(self._folder / "images" / file, developed(picture))
@@ -153,13 +154,9 @@ class _Maker:
         write_png(self._folder / "gt" / "normal" / file, (0.5 + 0.5 * picture.normal).numpy())
         for number, light in enumerate(self._other_lights() if relit else [], start=1):
             bar.set_description(f"frame {index} under {light.name}")
-            picture = self._studio.take(posed, light.tables, seed=self._seed(index, number))
+            picture = self._studio.take(posed, light.tables, seed=number_of(self._plan.seed, Purpose.RAYS, index, number))
             bar.update()
             write_png(self._folder / "gt" / "relight" / light.name / file, developed(picture))
-
-    def _seed(self, index: int, light: int) -> int:
-        """A seed of the picture's own, in what an int32 holds."""
-        return int(np.random.SeedSequence([self._plan.seed, index, light]).generate_state(1)[0] >> 1)
 
     def _estimated_albedo(self, picture: Picture, index: int) -> np.ndarray:
         """(H, W, 3) the true albedo as a network might have estimated it, display values on white."""
@@ -167,7 +164,7 @@ class _Maker:
         coverage = picture.coverage[..., None].numpy()
         blurred = gaussian_filter(picture.albedo.numpy() * coverage, (sigma, sigma, 0.0))
         albedo = blurred / np.maximum(gaussian_filter(coverage, (sigma, sigma, 0.0)), 1e-6)
-        gain = 1.0 + ALBEDO_GAIN * np.random.default_rng([self._plan.seed, index, 1]).standard_normal()
+        gain = 1.0 + ALBEDO_GAIN * generator_of(self._plan.seed, Purpose.ALBEDO, index).standard_normal()
         return on_white(torch.from_numpy((gain * albedo).astype(np.float32)), picture.coverage)
 
     def _arrays(self, parameters: FrameParameters) -> dict[str, np.ndarray]:
@@ -240,8 +237,6 @@ def _facts(plan: SubjectPlan, performance: Performance) -> dict[str, object]:
         "version": VERSION,
         "seed": plan.seed,
         "frames": len(performance),
-        "train": plan.train,
-        "test": plan.test,
         "frames_per_second": FRAMES_PER_SECOND,
         "plan": asdict(plan),
         "what": "A procedural head under a procedural sky, by an independent ray caster: shadows, two bounces, GGX, bumps, and wrinkles "

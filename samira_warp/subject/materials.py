@@ -69,9 +69,9 @@ def paint(head: SubjectHead, *, seed: int, size: int) -> Materials:
     """
     texels = Texels.build(head.anatomy, size=size)
     look = look_of(seed)
-    surface = _surface(texels, look, seed=seed)
-    slopes = Slopes(texels, _chart_gradients(head.anatomy, texels.face))
     hair, brows = scalp_share(texels, seed=seed), brow_share(texels, seed=seed)
+    surface = _surface(texels, look, hair, brows, seed=seed)
+    slopes = Slopes(texels, _chart_gradients(head.anatomy, texels.face))
     resting = slopes.of(resting_heights(texels, hair=hair, brows=brows, seed=seed))
     finish = np.stack([surface.roughness, surface.specular, surface.scatter], axis=1)
     return Materials(
@@ -88,11 +88,11 @@ def _map(texels: Texels, values: np.ndarray) -> torch.Tensor:
     return torch.from_numpy(texels.spread(values).astype(np.float32))
 
 
-def _surface(t: Texels, look: Look, *, seed: int) -> Paint:
-    """Every part under its own paint."""
+def _surface(t: Texels, look: Look, hair: np.ndarray, brows: np.ndarray, *, seed: int) -> Paint:
+    """Every part under its own paint; (N,) shares of the crop and of the brows."""
     skin = with_freckles(skin_paint(t, look, seed=seed), t, look, seed=seed)
     skin = with_beard(with_nostrils(skin, t), t, look, seed=seed)
-    skin = with_brows(with_scalp(skin, t, look, seed=seed), t, look, seed=seed)
+    skin = with_brows(with_scalp(skin, t, look, hair, seed=seed), look, brows)
     skin = with_lid_edges(with_lips(skin, t, look, seed=seed), t, look)
     inner = t.is_part("mouth") * np.clip((-t.lip - 17.0) / 4.0, 0.0, 1.0)
     surface = skin.under(mouth_paint(t, seed=seed), inner)

@@ -14,9 +14,11 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from samira_warp.head.model import FrameParameters
-from samira_warp.subject.gestures import BLINK, LOOK, SPEECH, UPPER, Gesture, lower_gestures, shapes_of
+from samira_warp.subject.gestures import BLINK, LOWER, SPEECH, UPPER, Gesture, shapes_of
+from samira_warp.subject.streams import Purpose, generator_of
 
 FRAMES_PER_SECOND = 12.5
+"""A video's every other frame: 200 of them show 16 seconds."""
 
 YAW, PITCH, ROLL = np.radians([40.0, 15.0, 6.0])
 """Farthest turns of the head."""
@@ -93,19 +95,18 @@ def perform(names: tuple[str, ...], *, train: int, test: int, seed: int) -> Perf
     """Play.
 
     Args:
-        names: The template's expression shapes, by ARKit's names where they are to be understood.
+        names: The template's expression shapes; gestures move those that they know.
         train: Frames to train on; the first one is at rest and looks ahead.
         test: Frames to test on.
         seed: Seed of every choice.
     """
-    generator = np.random.default_rng([seed, 0])
+    generator = generator_of(seed, Purpose.PERFORMANCE)
     frames = train + test
     ease = _smooth_step(np.arange(frames) / EASE)[:, None]
     turn = ease * _waves(generator, PERIODS[:3], frames) * (YAW, PITCH, ROLL)
     sway = ease * _waves(generator, PERIODS[3:6], frames) * SWAY
     expression, opening = np.zeros((frames, len(names))), np.zeros(frames)
-    lower = lower_gestures(names)
-    for gestures, strength in ((UPPER, 1.0), (lower, 1.0), (SPEECH, 0.8)):
+    for gestures, strength in ((UPPER, 1.0), (LOWER, 1.0), (SPEECH, 0.8)):
         for first, count in ((0, train), (train, test)):
             shapes, jaw = _gesture_tracks(gestures, names, count, generator)
             expression[first : first + count] += strength * shapes
@@ -130,13 +131,14 @@ def _within(track: np.ndarray, train: int) -> np.ndarray:
 
 
 def _waves(generator: np.random.Generator, periods: tuple[float, ...], frames: int) -> np.ndarray:
-    """(frames, len(periods)) smooth tracks in -1 to 1, which reach both ends about once a period."""
+    """(frames, len(periods)) smooth tracks in -1 to 1, which come near both ends about once a period and reach one of them."""
     time = np.arange(frames)[:, None]
     main, slow, fast = (generator.uniform(0.0, 2.0 * np.pi, len(periods)) for _ in range(3))
     period = np.array(periods)
     swell = 0.8 + 0.2 * np.sin(2.0 * np.pi * time / (2.7 * period) + slow)
     bend = 0.5 * np.sin(2.0 * np.pi * time / (1.7 * period) + fast)
-    return swell * np.sin(2.0 * np.pi * time / period + main + bend)
+    waves = swell * np.sin(2.0 * np.pi * time / period + main + bend)
+    return waves / np.abs(waves).max(axis=0)
 
 
 def _gesture_tracks(
@@ -155,7 +157,7 @@ def _gesture_tracks(
         gesture = order.pop()
         middle = (place + 0.5) * step + generator.uniform(-0.2, 0.2) * step
         lasts = max(step, MOMENT)
-        weight = generator.uniform(0.6, 1.0) * np.cos(np.clip((np.arange(frames) - middle) / lasts, -1.0, 1.0) * 0.5 * np.pi) ** 2
+        weight = generator.uniform(0.75, 1.0) * np.cos(np.clip((np.arange(frames) - middle) / lasts, -1.0, 1.0) * 0.5 * np.pi) ** 2
         for index, value in shapes_of(gesture, names).items():
             expression[:, index] += generator.uniform(0.85, 1.0) * value * weight
         jaw += gesture.jaw * weight
@@ -175,18 +177,13 @@ def _blinks(generator: np.random.Generator, frames: int) -> np.ndarray:
 
 def _move_lids(expression: np.ndarray, names: tuple[str, ...], gaze: np.ndarray, blink: np.ndarray) -> None:
     """Let the lids blink and follow the gaze, in place; a closed eye is neither wide nor narrowed."""
-    sideways, down = (gaze / GAZE).T
+    down = gaze[:, 1] / GAZE[1]
     closed = np.clip(blink + LIDS_FOLLOW * np.clip(down, 0.0, 1.0), 0.0, 1.0)
     for index, name in enumerate(names):
-        to_left = sideways if name.endswith(("_L", "Left")) else -sideways
         if name.startswith(BLINK):
             expression[:, index] = closed
         elif name.startswith(("eyeWide", "eyeSquint")):
             expression[:, index] *= 1.0 - closed
-        elif name.startswith(LOOK):
-            towards = {"Down": down, "Up": -down, "Out": to_left, "In": -to_left}
-            found = next((track for word, track in towards.items() if name.startswith(LOOK + word)), np.zeros(len(down)))
-            expression[:, index] = np.clip(found, 0.0, 1.0)
 
 
 def _axis_angle(turns: np.ndarray) -> np.ndarray:

@@ -64,7 +64,7 @@ class Effort:
     lobes: int = 2
     more: int = 8
     rounds: int = 4
-    tolerance: float = 0.075
+    tolerance: float = 0.09
 
 
 class Picture(NamedTuple):

@@ -80,7 +80,7 @@ def _surface_at(head: Head, face: wp.int32, u: wp.float32, v: wp.float32, view: 
     round_point -= w * wp.min(wp.dot(point - head.points[c], nc), 0.0) * nc
     smooth = wp.normalize(u * na + v * nb + w * nc)
     uv = u * head.corner_uv[face, 0] + v * head.corner_uv[face, 1] + w * head.corner_uv[face, 2]
-    slope = head.turns[face] * _texture(head.slopes, uv)
+    slope = side * (head.turns[face] * _texture(head.slopes, uv))
     finish = _texture(head.finish, uv)
     surface = Surface()
     surface.view = view

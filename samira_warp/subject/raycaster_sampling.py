@@ -251,7 +251,8 @@ def sample_lit_sky(sky: Sky, normal: wp.vec3, number: wp.int32, seed: wp.uint32)
     One of some candidates by brightness, chosen by their cosines: resampled importance sampling (Talbot, Cline and Egbert, 2005). What is
     called density makes radiance x cosine / density an unbiased estimate.
     """
-    state = wp.rand_init(wp.int32(seed), number)
+    # number 0 is what scrambles the points
+    state = wp.rand_init(wp.int32(seed), number + 1)
     total = wp.float32(0.0)
     chosen = SkySample()
     for candidate in range(CANDIDATES):

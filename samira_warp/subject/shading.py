@@ -108,14 +108,16 @@ def lobe_density(surface: Surface, light: wp.vec3) -> wp.float32:
     Diffuse directions are drawn about both normals: about one alone, those that lie low over it but not over the other, which diffuse
     light follows as well, would come rarely and count much.
     """
-    cosine = wp.dot(surface.normal, light)
+    cosine = wp.max(wp.dot(surface.normal, light), 0.0)
     smooth_cosine = wp.max(wp.dot(surface.smooth_normal, light), 0.0)
-    if cosine <= 0.0:
-        return (1.0 - SPECULAR_SHARE) * 0.5 * smooth_cosine / PI
     alpha = surface.roughness * surface.roughness
     normal_view = wp.max(wp.dot(surface.normal, surface.view), 1.0e-4)
     half = wp.normalize(surface.view + light)
-    visible = 0.5 * _distribution(wp.dot(surface.normal, half), alpha) / (normal_view + _slope_term(normal_view, alpha))
+    normal_half = wp.dot(surface.normal, half)
+    # visible normals reflect some directions to below the surface: they are drawn all the same
+    visible = wp.float32(0.0)
+    if normal_half > 0.0:
+        visible = 0.5 * _distribution(normal_half, alpha) / (normal_view + _slope_term(normal_view, alpha))
     return SPECULAR_SHARE * visible + (1.0 - SPECULAR_SHARE) * 0.5 * (cosine + smooth_cosine) / PI
 
 

@@ -9,6 +9,7 @@ from typing import Protocol
 
 import numpy as np
 import torch
+from threadpoolctl import threadpool_limits
 
 from samira_warp.camera import Camera
 from samira_warp.head.model import FrameParameters, HeadModel
@@ -136,10 +137,11 @@ def on_white(linear: torch.Tensor, coverage: torch.Tensor) -> np.ndarray:
 
 @contextlib.contextmanager
 def threads(count: int) -> Iterator[None]:
-    """Let torch use so many threads: sums that it divides among them depend on the number in their last bits."""
+    """Let torch and BLAS use so many threads: sums that they divide among them depend on the number in their last bits."""
     before = torch.get_num_threads()
     torch.set_num_threads(count)
     try:
-        yield
+        with threadpool_limits(limits=count, user_api="blas"):
+            yield
     finally:
         torch.set_num_threads(before)

@@ -58,7 +58,7 @@ class TrainConfig:
     flame: Path | None = None
     """FLAME's file (.pkl or .npz, with its UV coordinates and masks beside it), or a template.npz, for a dataset without one."""
     out: Path | None = None
-    """Run folder; default runs/<subject>."""
+    """Run folder; default runs/ and the name of the dataset's folder, or runs/built_in."""
     preset: Literal["cpu", "paper"] | None = None
     """Sizes: cpu (256 x 256, UV 128) or paper (512 x 512, UV 256); default cpu where there is no GPU."""
     epochs: int = 10

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,6 +20,7 @@ from samira_warp.evaluate import ImagePair, evaluate_images, find_lpips
 from samira_warp.evaluate.lpips import SMALLEST_IMAGE, Lpips
 from samira_warp.files import read_json, replace_file, replace_folder
 from samira_warp.images import to_uint8
+from samira_warp.subject.cache import built_in_subject, subject_folder
 from samira_warp.train.checkpoint import last_checkpoint
 from samira_warp.train.config import PRESETS, Schedule, TrainConfig
 from samira_warp.train.losses import SSIM_WINDOW
@@ -38,23 +40,28 @@ TRAINING_LPIPS = {"cpu": "alex", "paper": "vgg"}
 def train(config: TrainConfig) -> Path | None:
     """Train an avatar, write its run folder and score it on the test frames.
 
-    Everything that can be checked without decoding images is checked before the run folder is touched.
+    Everything that can be checked without decoding images is checked before the run folder is touched; what can be checked without a
+    dataset, before the built-in subject is made, where ``data`` is None and it is not there yet.
 
     Returns:
         The run folder, or None when Ctrl-C ended the run early (a checkpoint was saved).
 
     Raises:
-        UserError: The configuration or the dataset cannot be used.
+        UserError: The configuration or the dataset cannot be used, or the built-in subject cannot be kept.
     """
     config = resolve(config)
+    checkpoint = _checkpoint(config)
+    _check_size(config, (config.resolution, config.resolution))
+    lpips = find_lpips(TRAINING_LPIPS[config.preset], config.lpips_weights)
+    if config.data is None:
+        config = replace(config, data=_built_in())
     sequence = open_checked(config.data, split=config.split, flame=config.flame)
     size = image_size(sequence, config.resolution)
-    perceptual = _perceptual(config, size)
+    _check_size(config, size)
+    perceptual = lpips if min(size) >= SMALLEST_IMAGE else f"images are smaller than {SMALLEST_IMAGE} pixels"
     steps = min(config.epochs * len(sequence.train), config.max_steps or sys.maxsize)
     facts = run_facts(config, sequence, steps=steps, perceptual=isinstance(perceptual, Lpips))
-    resumed = _resumable(config, facts) if config.resume else None
-    if resumed is None:
-        _refuse_to_overwrite(config.out)
+    resumed = None if checkpoint is None else _resumable(config, checkpoint, facts)
     with PixelCache(sequence.frames, width=size[0], height=size[1], max_bytes=PIXEL_CACHE_BYTES) as pixels:
         if resumed is None:
             begun = start(config, sequence, pixels, steps=steps)
@@ -136,13 +143,27 @@ class _Resumed(NamedTuple):
     record: dict[str, Any]
 
 
-def _resumable(config: TrainConfig, facts: dict[str, Any]) -> _Resumed:
+def _checkpoint(config: TrainConfig) -> Path | None:
+    """The checkpoint to go on from, None for a new run.
+
+    Raises:
+        UserError: There is none to go on from, or a run that a new one would overwrite.
+    """
+    if config.out.exists() and not config.out.is_dir():
+        raise UserError(config.out, expected="a folder", found="a file")
+    if config.resume:
+        return last_checkpoint(config.out / "checkpoints")
+    if any((config.out / "checkpoints").glob("step_*")):
+        raise UserError(config.out, expected="a new folder, or --resume to go on with the run there", found="a run")
+    return None
+
+
+def _resumable(config: TrainConfig, checkpoint: Path, facts: dict[str, Any]) -> _Resumed:
     """The run to go on with.
 
     Raises:
-        UserError: There is no checkpoint, or the settings or the data are not those that the run was begun with.
+        UserError: The settings or the data are not those that the run was begun with.
     """
-    checkpoint = last_checkpoint(config.out / "checkpoints")
     path = config.out / "config.json"
     record = read_json(path)
     for name, kind in (("settings", dict), ("encoder", str)):
@@ -160,23 +181,21 @@ def _resumable(config: TrainConfig, facts: dict[str, Any]) -> _Resumed:
     return _Resumed(checkpoint, record)
 
 
-def _refuse_to_overwrite(folder: Path) -> None:
-    if any((folder / "checkpoints").glob("step_*")):
-        raise UserError(folder, expected="a new folder, or --resume to go on with the run there", found="a run")
-
-
-def _perceptual(config: TrainConfig, size: tuple[int, int]) -> Lpips | str:
-    """LPIPS, or why there is none.
+def _check_size(config: TrainConfig, size: tuple[int, int]) -> None:
+    """Refuse images that are too small for SSIM.
 
     Raises:
-        UserError: The images are too small for SSIM.
+        UserError: They are.
     """
     if min(size) < SSIM_WINDOW:
         expected = f"images of at least {SSIM_WINDOW} pixels a side"
         raise UserError(f"--resolution {config.resolution}", expected=expected, found=f"{size[0]} x {size[1]}")
-    if min(size) < SMALLEST_IMAGE:
-        return f"images are smaller than {SMALLEST_IMAGE} pixels"
-    return find_lpips(TRAINING_LPIPS[config.preset], config.lpips_weights)
+
+
+def _built_in() -> Path:
+    """The built-in subject's dataset, for want of another."""
+    print(f"no --data: the built-in subject, in {subject_folder()}", file=sys.stderr)
+    return built_in_subject()
 
 
 def _announce(sequence: Sequence, encoder: str, perceptual: Lpips | str, config: TrainConfig) -> None:

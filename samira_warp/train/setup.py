@@ -13,11 +13,11 @@ import torch
 
 from samira_warp.avatar import Avatar, AvatarSettings, CanonicalHead, conditions_of
 from samira_warp.data import PixelCache, Sequence
+from samira_warp.data.split import parse_split
 from samira_warp.devices import pick_device
 from samira_warp.errors import UserError
 from samira_warp.light import LearnableLight, decode_srgb
 from samira_warp.nets import MotionSettings, encode_reference
-from samira_warp.subject.cache import built_in_subject
 from samira_warp.train.config import PRESETS, SHORT_RUN, LossWeights, TrainConfig
 from samira_warp.train.initialize import choose_reference, condition_statistics, initial_albedo, initial_gaussians, view_of
 from samira_warp.train.unwrap import unwrap
@@ -45,7 +45,7 @@ class Start(NamedTuple):
 
 
 def resolve(config: TrainConfig) -> TrainConfig:
-    """Fill in what the preset and the machine decide; without a dataset, make the built-in one if it is not there yet.
+    """Fill in what the preset and the machine decide; ``data`` stays None where the built-in subject is meant.
 
     Raises:
         UserError: A value is out of range, or a GPU is asked for where there is none.
@@ -64,8 +64,9 @@ def resolve(config: TrainConfig) -> TrainConfig:
         value = getattr(config, name)
         if value is not None and value < 1:
             raise UserError(f"--{name.replace('_', '-')}", expected="a positive number", found=value)
-    data = built_in_subject() if config.data is None else config.data
-    return replace(config, data=data, out=config.out or Path("runs") / data.resolve().name)
+    parse_split(config.split)
+    subject = "built_in" if config.data is None else config.data.resolve().name
+    return replace(config, out=config.out or Path("runs") / subject)
 
 
 def image_size(sequence: Sequence, resolution: int) -> tuple[int, int]:

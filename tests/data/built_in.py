@@ -12,7 +12,7 @@ from data.layouts import FLIP, WRITERS, Film, write_layout
 
 from samira_warp.head import FrameParameters, HeadModel, save_template
 from samira_warp.images import write_png
-from samira_warp.subject.cache import build_cast
+from samira_warp.subject.cast import build_cast
 from samira_warp.subject.head import build_head
 from samira_warp.subject.make import Light
 from samira_warp.subject.performance import perform

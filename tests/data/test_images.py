@@ -6,6 +6,7 @@ import zlib
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813 - the name its own documentation uses
 import pytest
+from data.damage import file_size_limit
 from PIL import Image
 from skimage.transform import downscale_local_mean
 
@@ -206,6 +207,18 @@ def test_what_cannot_be_written_is_an_os_error(tmp_path, write, suffix):
     with pytest.raises(OSError, match="cannot be written") as caught:
         write(path, np.zeros((2, 2, 3)))
     assert str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize(("write", "suffix"), [(write_png, ".png"), (write_exr, ".exr")])
+@pytest.mark.parametrize("share", [0.0, 0.5, 0.999])
+def test_a_disk_that_takes_a_part_is_an_os_error(tmp_path, write, suffix, share):
+    path, values = tmp_path / f"a{suffix}", np.random.default_rng(0).random((96, 96, 3))
+    write(path, values)
+    with file_size_limit(int(share * path.stat().st_size)), pytest.raises(OSError, match="cannot be written") as caught:
+        write(path, values)
+    assert str(path) in str(caught.value)
+    write(path, values)
+    assert read_image(path, channels=3).shape == (96, 96, 3)  # nothing of the fault lingers
 
 
 def test_boxes_of_a_whole_factor_are_block_means():

@@ -21,7 +21,6 @@ from samira_warp.files import read_json
 from samira_warp.head import HeadModel
 from samira_warp.images import image_size, read_image
 from samira_warp.light import Environment
-from samira_warp.subject import cache
 from samira_warp.subject.make import make_subject
 from samira_warp.subject.performance import perform
 from samira_warp.subject.sky import CAPTURE, SKIES
@@ -132,52 +131,27 @@ def test_an_interrupt_leaves_nothing(tmp_path):
     assert "Traceback" not in process.stderr.read()
 
 
-def test_train_takes_the_subject_that_is_in_the_cache(dataset, tmp_path, monkeypatch):
-    monkeypatch.setenv("SAMIRA_WARP_CACHE", str(tmp_path / "cache"))
-    folder = cache.subject_folder()
-    folder.parent.mkdir(parents=True)
-    folder.symlink_to(dataset)
-    options = ["--preset", "cpu", "--device", "cpu", "--encoder", "random", "--max-steps", "3", "--out", "run"]
-    done = subprocess.run([sys.executable, str(TESTS / "subjects.py"), *options], cwd=tmp_path, capture_output=True, text=True, timeout=300)
-    assert done.returncode == 0, done.stderr
-    assert sum(str(folder) in line for line in done.stderr.splitlines()) == 1
-    assert json.loads((tmp_path / "run" / "config.json").read_text())["settings"]["data"] == str(folder)
-    assert (tmp_path / "run" / "results.json").is_file()
-
-
-def test_it_is_made_once_and_said_where(tmp_path, monkeypatch, capsys):
-    monkeypatch.setenv("SAMIRA_WARP_CACHE", str(tmp_path))
-    made = []
-
-    def make(folder, plan, cast):
-        made.append((plan.seed, cast))
-        folder.mkdir()
-
-    monkeypatch.setattr(cache, "make_subject", make)
-    monkeypatch.setattr(cache, "build_cast", lambda seed: "a cast")
-    assert cache.built_in_subject(7) == cache.built_in_subject(7) == cache.subject_folder(7)
-    assert made == [(7, "a cast")]
-    first, second = capsys.readouterr().err.splitlines()
-    assert "making" in first
-    assert "making" not in second
-    assert all(str(cache.subject_folder(7)) in line for line in (first, second))
-
-
 @pytest.mark.parametrize(
     ("options", "complaint"),
     [
         ([], "--out"),
         (["--out", "{there}"], "a new folder"),
+        (["--preview", "a.png", "--out", "{there}"], "a new folder"),
+        (["--out", "new", "--preview", "a.jpg"], "a.jpg: expected the name of a .png file"),
+        (["--out", "new", "--preview", "nowhere/a.png"], "nowhere: expected a folder"),
+        (["--out", "new", "--seed", "-1"], "--seed: expected at least 0"),
+        (["--preview", "a.png", "--seed", "2147483648"], "--seed: expected at most 2147483647"),
         (["--out", "new", "--train", "0"], "--train"),
         (["--preview", "a.png", "--light", "moon"], "--light"),
         (["--preview", "a.png", "--frame", "200"], "--frame"),
     ],
 )
-def test_the_tool_says_in_one_line_what_is_wrong(options, complaint, tmp_path, monkeypatch, capsys):
+def test_the_tool_says_in_one_line_what_is_wrong_before_it_makes_anything(options, complaint, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(TESTS.parent / "tools")
     tool = importlib.import_module("make_subject")
     arguments = [option.format(there=tmp_path) for option in options]
     assert run(tool.main, tool.SubjectConfig, program="make_subject", arguments=arguments) == 2
-    assert complaint in capsys.readouterr().err
+    (line,) = capsys.readouterr().err.splitlines()
+    assert complaint in line
     assert list(tmp_path.iterdir()) == []

@@ -97,6 +97,26 @@ def test_images_too_small_for_ssim_are_refused(tiny_dataset, tmp_path, capsys):
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.parametrize(
+    ("options", "complaint"),
+    [
+        ([], "runs/built_in: expected a new folder"),
+        (["--out", "mine"], "mine: expected a folder, found a file"),
+        (["--out", "other", "--resume"], "a checkpoint to resume from"),
+        (["--out", "other", "--resolution", "8"], "--resolution 8"),
+        (["--out", "other", "--split", "half"], "--split"),
+        (["--out", "other", "--lpips-weights", "nowhere"], "nowhere"),
+    ],
+)
+def test_the_built_in_subject_is_not_made_for_a_run_that_cannot_be(options, complaint, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("SAMIRA_WARP_CACHE", str(tmp_path / "cache"))
+    (tmp_path / "runs" / "built_in" / "checkpoints" / "step_000003").mkdir(parents=True)
+    (tmp_path / "mine").write_text("mine")
+    assert complaint in refused(capsys, "--preset", "cpu", "--device", "cpu", "--encoder", "random", *options)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["mine", "runs"]
+
+
 def test_no_gpu(tiny_dataset, tmp_path, capsys):
     if torch.cuda.is_available():
         pytest.skip("there is a CUDA device on this machine")

@@ -12,6 +12,7 @@ from samira_warp.subject.anatomy.atlas import Chart, part_chart, skin_chart
 from samira_warp.subject.anatomy.ears import ear
 from samira_warp.subject.anatomy.eyes import eyeball
 from samira_warp.subject.anatomy.layout import FAR, half_skin
+from samira_warp.subject.anatomy.mouth import WITHIN
 from samira_warp.subject.anatomy.teeth import teeth, tongue
 
 PARTS = ("skin", "mouth", "left_eyeball", "right_eyeball", "left_ear", "right_ear", "teeth_upper", "teeth_lower", "tongue")
@@ -103,7 +104,7 @@ def _skin_piece() -> _Piece:
         return np.concatenate([values, values[off_midline]])
 
     points = np.concatenate([half.points, half.points[off_midline] * (-1.0, 1.0, 1.0)])
-    inside = both(half.lip) <= -20.0
+    inside = both(half.lip) <= WITHIN
     return _Piece(
         points=points,
         faces=faces,

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from samira_warp.subject.anatomy.layout import HalfSkin
+from samira_warp.subject.anatomy.mouth import WITHIN
 from samira_warp.subject.anatomy.sections import lowest_descent
 
 BAND = 0.25
@@ -49,7 +50,7 @@ def skin_chart(half: HalfSkin) -> Chart:
     bag_right = bag_left * (-1.0, 1.0) + (2.0 * PLACES["mouth"][0], 0.0)
     count = len(half.points)
     # a face belongs to the lining when it has a corner behind where the lips meet
-    lined = (half.lip[half.triangles] <= -20.0).any(axis=1)
+    lined = (half.lip[half.triangles] <= WITHIN).any(axis=1)
     faces = np.concatenate([half.triangles + lined[:, None] * count, half.triangles[:, [0, 2, 1]] + (2 + lined[:, None]) * count])
     vt = np.concatenate([left, bag_left, right, bag_right])
     # crown and throat are one vertex each, but every face has a corner of its own there

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from samira_warp.subject.anatomy.assembly import Anatomy
-from samira_warp.subject.anatomy.eyes import EYE, EYE_RADIUS, LID, lid_edge
+from samira_warp.subject.anatomy.eyes import EYE, EYE_RADIUS, LID, lid_arch, lid_edge
 from samira_warp.subject.anatomy.layout import FAR
 from samira_warp.subject.anatomy.pulls import pull
 from samira_warp.subject.anatomy.rings import fade
@@ -21,29 +21,24 @@ def blink(a: Anatomy) -> np.ndarray:
 
 def widen(a: Anatomy) -> np.ndarray:
     """The upper lid rises off the iris, the lower one drops."""
-    return _turned(a, _arch(a) * -2.2, lower=-0.9)
+    return _turned(a, lid_arch(a.turn) * -2.2, lower=-0.9)
 
 
 def squint(a: Anatomy) -> np.ndarray:
     """The lower lid rises with the cheek below it, the upper one comes down a little."""
     cheek = pull(a, (33.0, -17.0, 11.0), 11.0, (0.5, 3.0, 1.5)) + pull(a, (50.0, -4.0, -4.0), 9.0, (-1.5, 0.5, 1.0))
-    return _turned(a, _arch(a) * 1.3, lower=2.0) + cheek
+    return _turned(a, lid_arch(a.turn) * 1.3, lower=2.0) + cheek
 
 
 def _is_left_lid(a: Anatomy) -> np.ndarray:
     return (a.lid < FAR) & (a.points[:, 0] > 0.0)
 
 
-def _arch(a: Anatomy) -> np.ndarray:
-    """(V,) 1 over the middle of the eye, 0 at its corners."""
-    return np.abs(np.sin(a.turn)) ** 1.25
-
-
 def _edge_drop(a: Anatomy, *, lower_rise: float) -> np.ndarray:
     """(V,) millimetres that the upper lid's edge has to come down above each vertex for the eye to close."""
     upper = lid_edge(np.abs(a.turn))[:, 1]
     lower = lid_edge(-np.abs(a.turn))[:, 1]
-    return np.maximum(upper - lower - lower_rise * _arch(a), 0.0) + OVERLAP * _arch(a)
+    return np.maximum(upper - lower - lower_rise * lid_arch(a.turn), 0.0) + OVERLAP * lid_arch(a.turn)
 
 
 def _turned(a: Anatomy, drop: np.ndarray, *, lower: float) -> np.ndarray:
@@ -56,7 +51,7 @@ def _turned(a: Anatomy, drop: np.ndarray, *, lower: float) -> np.ndarray:
     """
     on_lid = _is_left_lid(a)
     distance = np.maximum(a.lid, 0.0)
-    down = np.where(a.turn >= 0.0, drop * fade(distance, 0.5, 13.0), -lower * _arch(a) * fade(distance, 0.0, 11.0))
+    down = np.where(a.turn >= 0.0, drop * fade(distance, 0.5, 13.0), -lower * lid_arch(a.turn) * fade(distance, 0.0, 11.0))
     offset = a.points - EYE
     radius = np.hypot(offset[:, 1], offset[:, 2])
     # the edge comes down by `drop` in front view: an arc of the circle on which it moves

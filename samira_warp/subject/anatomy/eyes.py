@@ -35,14 +35,19 @@ CREASE = 6.2
 """Millimetres from the upper lid's edge to its fold."""
 
 
-def lid_edge(turn: np.ndarray, *, opening: float = 1.0) -> np.ndarray:
+def lid_arch(turn: np.ndarray) -> np.ndarray:
+    """(N,) 1 over and under the middle of the eye, 0 at its corners, at angles as `lid_edge` takes them."""
+    return np.abs(np.sin(turn)) ** 1.25
+
+
+def lid_edge(turn: np.ndarray) -> np.ndarray:
     """(N, 2) the almond in front view from the eyeball's centre; angles start at the outer canthus and run over the upper lid."""
     across = np.cos(turn)
     line = INSIDE + (OUTSIDE - INSIDE) * (0.5 * (across + 1.0))[:, None]
-    arch = np.abs(np.sin(turn)) ** 1.25
+    arch = lid_arch(turn)
     upper = 4.9 * arch * (1.0 - 0.16 * across)
     lower = -5.0 * arch * (1.0 + 0.22 * across)
-    return line + np.stack([np.zeros_like(turn), opening * np.where(np.sin(turn) >= 0.0, upper, lower)], axis=1)
+    return line + np.stack([np.zeros_like(turn), np.where(np.sin(turn) >= 0.0, upper, lower)], axis=1)
 
 
 def on_globe(flat: np.ndarray, radius: float) -> np.ndarray:

@@ -61,9 +61,7 @@ IDENTITIES: dict[str, Field] = {
     "lips": lambda p: (
         _push((0.0, -72.5, 30.0), (26.0, 6.0, 14.0), (0.0, -1.1, 1.6))(p) + _push((0.0, -61.5, 30.0), (26.0, 5.5, 14.0), (0.0, 0.9, 1.4))(p)
     ),
-    "neck": lambda p: (
-        np.column_stack([p[:, 0], 0.0 * p[:, 0], p[:, 2] + 88.0]) * (0.07 * fade(p[:, 1], -90.0, -135.0)[:, None] * -1.0 + 0.07)
-    ),
+    "neck": lambda p: np.column_stack([p[:, 0], 0.0 * p[:, 0], p[:, 2] + 88.0]) * (0.07 * (1.0 - fade(p[:, 1], -90.0, -135.0)))[:, None],
 }
 """By name; the signs are what the names say: longer, broader, higher, further out."""
 

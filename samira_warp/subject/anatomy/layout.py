@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial import Delaunay
 
-from samira_warp.subject.anatomy.eyes import LID_VERTICES, lid_rings
+from samira_warp.subject.anatomy.eyes import lid_rings
 from samira_warp.subject.anatomy.landmarks import face_surface, seen_at
 from samira_warp.subject.anatomy.mouth import HALF_VERTICES, LINE, lip_rings
 from samira_warp.subject.anatomy.rings import Ring, strip
@@ -15,6 +15,10 @@ from samira_warp.subject.anatomy.sections import descent_of_front, lowest_descen
 
 SCALE = 85.0
 """Millimetres on the unrolled head for a radian of azimuth: about the head's radius."""
+
+
+FACE_SPACING, SKULL_SPACING, BACK_SPACING = 5.6, 10.0, 12.0
+"""Millimetres between vertices on the face, above and below it, and behind: some 5,500 vertices in all."""
 
 
 class HalfSkin(NamedTuple):
@@ -78,7 +82,7 @@ def half_skin() -> HalfSkin:
         triangles=np.concatenate(triangles),
         lid=np.concatenate([np.where(is_lid, outwards, FAR), np.full(rest, FAR)]),
         lip=lip,
-        turn=np.concatenate([_turns(lids), _turns(lips), np.zeros(rest)]),
+        turn=np.concatenate([_turns(lids, closed=True), _turns(lips, closed=False), np.zeros(rest)]),
         cavity=cavity,
     )
 
@@ -98,9 +102,10 @@ def _top_row(chart: np.ndarray, ids: np.ndarray) -> np.ndarray:
     return top[np.argsort(chart[top, 0])]
 
 
-def _turns(rings: tuple[list[Ring], list[Ring]]) -> np.ndarray:
+def _turns(rings: tuple[list[Ring], list[Ring]], *, closed: bool) -> np.ndarray:
+    """Angles of an opening's vertices, ring after ring."""
     count = len(rings[1][0].points)
-    if count == LID_VERTICES:
+    if closed:
         turn = 2.0 * np.pi * np.arange(count) / count
         turn = np.where(turn > np.pi, turn - 2.0 * np.pi, turn)
     else:
@@ -130,9 +135,9 @@ def _free_points(lid: Ring, lip: Ring) -> np.ndarray:
         index += 1
     rows.append(_row(lowest_descent(), index))
     grid = np.concatenate(rows)
-    grid = grid[_distance(grid, nose) > 3.6]
+    grid = grid[_distance(grid, nose) > 0.65 * FACE_SPACING]
     everything = np.concatenate([nose, grid])
-    keep = ~_within(everything, lid, 2.4) & ~_within(everything, lip, 2.4)
+    keep = ~_within(everything, lid, 0.43 * FACE_SPACING) & ~_within(everything, lip, 0.43 * FACE_SPACING)
     return everything[keep]
 
 
@@ -153,7 +158,7 @@ def _nose_points() -> np.ndarray:
 
 def _row_spacing(descent: float) -> float:
     face = descent_of_front(np.array([60.0, -112.0]))
-    return 5.6 if face[0] < descent < face[1] else 10.0
+    return FACE_SPACING if face[0] < descent < face[1] else SKULL_SPACING
 
 
 def _row(descent: float, index: int) -> np.ndarray:
@@ -161,8 +166,8 @@ def _row(descent: float, index: int) -> np.ndarray:
     dense = np.linspace(0.0, np.pi, 400)
     line = section_surface(dense, np.full(400, descent))
     lengths = np.concatenate([[0.0], np.linalg.norm(np.diff(line, axis=0), axis=1)])
-    front = 5.6 if _row_spacing(descent) < 6.0 else 10.0
-    spacing = front + (12.0 - front) * (1.0 - np.asarray(np.clip((np.cos(dense) - 0.1) / 0.6, 0.0, 1.0)))
+    front = _row_spacing(descent)
+    spacing = front + (BACK_SPACING - front) * (1.0 - np.asarray(np.clip((np.cos(dense) - 0.1) / 0.6, 0.0, 1.0)))
     steps = np.cumsum(lengths / spacing)
     count = max(round(steps[-1]), 4)
     wanted = np.arange(count + 1) / count if index % 2 == 0 else np.concatenate([[0.0], (np.arange(count) + 0.5) / count, [1.0]])

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from samira_warp.subject.anatomy.assembly import Anatomy
-from samira_warp.subject.anatomy.mouth import HALF_WIDTH, LINE
-from samira_warp.subject.anatomy.pulls import Vector, around_mouth, left_share, pull
+from samira_warp.subject.anatomy.mouth import HALF_WIDTH, LINE, SKIN, WITHIN
+from samira_warp.subject.anatomy.pulls import Vector, around_mouth, left_share, pull, upper_share
 from samira_warp.subject.anatomy.rings import fade
 
 
@@ -21,9 +21,8 @@ def _corner(a: Anatomy, direction: Vector, *, reach: float = 20.0) -> np.ndarray
 
 def _upper(a: Anatomy) -> np.ndarray:
     """(V,) 1 on what moves with the upper lip, 0 on what moves with the lower one."""
-    ringed = np.clip(0.5 + 0.5 * np.sign(a.turn) * np.abs(np.sin(a.turn)) ** 0.6, 0.0, 1.0)
     height = 1.0 - fade(a.points[:, 1], LINE - 4.0, LINE + 4.0)
-    return np.where(a.lip < 12.0, ringed, height)
+    return np.where(a.lip < SKIN[-1], upper_share(a), height)
 
 
 def _lip(a: Anatomy, *, upper: bool, reach: float) -> np.ndarray:
@@ -36,7 +35,7 @@ def _lip(a: Anatomy, *, upper: bool, reach: float) -> np.ndarray:
 def _vermilion(a: Anatomy, *, upper: bool) -> np.ndarray:
     """(V,) 1 where the lips meet, 0 from the border of the vermilion on, and fading within the mouth."""
     share = _upper(a) if upper else 1.0 - _upper(a)
-    on_lip = fade(a.lip, -7.0, 0.5) * (a.lip > -19.0) + (a.lip <= -19.0) * fade(a.cavity, 0.1, 0.5)
+    on_lip = fade(a.lip, -7.0, 0.5) * (a.lip > WITHIN) + (a.lip <= WITHIN) * fade(a.cavity, 0.1, 0.5)
     return share * on_lip * np.clip(np.abs(np.sin(a.turn)) * 1.6, 0.0, 1.0)
 
 

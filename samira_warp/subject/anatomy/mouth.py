@@ -21,6 +21,9 @@ VERMILION = (0.0, 0.16, 0.36, 0.6, 0.82, 1.0)
 SKIN = (1.2, 3.0, 5.5, 8.5, 12.0)
 """Millimetres from the border to rings on the skin around."""
 
+WITHIN = -20.0
+"""What lies behind where the lips meet has this as its distance to the lips' border, or less."""
+
 CAVITY = (
     (62.0, 5.0, 0.55),
     (44.0, 16.0, 0.9),
@@ -73,7 +76,7 @@ def lip_rings() -> tuple[list[Ring], list[Ring]]:
     outer = [_vermilion_ring(turn, contact, border, share) for share in VERMILION]
     outer += [_skin_ring(turn, border, distance) for distance in SKIN]
     inner = [
-        Ring(outer[0].chart, points, np.full(len(turn), -20.0 - (len(CAVITY) - 1 - index))) for index, points in enumerate(_cavity(turn))
+        Ring(outer[0].chart, points, np.full(len(turn), WITHIN - (len(CAVITY) - 1 - index))) for index, points in enumerate(_cavity(turn))
     ]
     return inner, outer
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from samira_warp.subject.anatomy.assembly import Anatomy
-from samira_warp.subject.anatomy.mouth import HALF_WIDTH, LINE
+from samira_warp.subject.anatomy.mouth import HALF_WIDTH, LINE, SKIN
 from samira_warp.subject.anatomy.rings import fade
 
 Vector = tuple[float, float, float]
@@ -26,9 +26,14 @@ def pull(a: Anatomy, centre: Vector, reach: float, direction: Vector) -> np.ndar
     return share[:, None] * np.array(direction)
 
 
-def left_share(a: Anatomy, softness: float = 6.0) -> np.ndarray:
+def left_share(a: Anatomy) -> np.ndarray:
     """(V,) 1 on the subject's left, 0 on the right, and a half on the midline."""
-    return 1.0 - fade(a.points[:, 0], -softness, softness)
+    return 1.0 - fade(a.points[:, 0], -6.0, 6.0)
+
+
+def upper_share(a: Anatomy) -> np.ndarray:
+    """(V,) 1 above an opening, 0 below, a half at its corners: steep there, as lips part along all of their length."""
+    return np.clip(0.5 + 0.5 * np.sign(a.turn) * np.abs(np.sin(a.turn)) ** 0.6, 0.0, 1.0)
 
 
 def around_mouth(a: Anatomy, reach: float) -> np.ndarray:
@@ -53,9 +58,9 @@ def jaw_share(a: Anatomy) -> np.ndarray:
     share = 1.0 - fade(below, -width, width)
     under_chin = -(y + 110.0) + 0.5 * (17.0 - z)
     share = share * fade(under_chin, 12.0, 52.0) * fade(z, -62.0, -84.0)
-    on_lips = a.lip < 12.0
-    opened = np.clip(0.5 + 0.5 * np.sign(-a.turn) * np.abs(np.sin(a.turn)) ** 0.6, 0.0, 1.0)
-    blend = fade(a.lip, 1.5, 12.0)
+    on_lips = a.lip < SKIN[-1]
+    opened = 1.0 - upper_share(a)
+    blend = fade(a.lip, 1.5, SKIN[-1])
     share = np.where(on_lips, blend * opened + (1.0 - blend) * share, share)
     lining = opened * fade(a.cavity, 0.55, 1.0)
     share = np.where(a.is_part("mouth"), lining, share)

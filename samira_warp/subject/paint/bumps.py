@@ -90,11 +90,11 @@ orbicularis of the mouth."""
 def resting_heights(t: Texels, *, hair: np.ndarray, brows: np.ndarray, seed: int) -> np.ndarray:
     """(N,) millimetres of what is always there: pores, the lips' lines, the tongue's grain, hair."""
     skin = t.is_part("skin", "left_ear", "right_ear")
-    pores = 0.035 * value_noise(t.points / 1.5, seed=seed + 140) + 0.05 * fractal_noise(
-        t.points, wavelength=4.5, octaves=2, seed=seed + 141
+    pores = 0.035 * value_noise(t.points / 1.5, seed=seed, field="fine pores") + 0.05 * fractal_noise(
+        t.points, wavelength=4.5, octaves=2, seed=seed, field="coarse pores"
     )
-    lips = 0.09 * value_noise(t.points * (0.75, 0.1, 0.2), seed=seed + 142) * fade(t.lip, -2.0, 0.0)
-    crop = 0.08 * value_noise(t.points / 0.9, seed=seed + 143) * hair + 0.2 * brows
+    lips = 0.09 * value_noise(t.points * (0.75, 0.1, 0.2), seed=seed, field="lip grooves") * fade(t.lip, -2.0, 0.0)
+    crop = 0.08 * value_noise(t.points / 0.9, seed=seed, field="crop") * hair + 0.2 * brows
     return (pores + lips + crop) * skin
 
 

@@ -32,10 +32,10 @@ class Paint:
     def under(self, other: Paint, share: np.ndarray) -> Paint:
         """This surface with another over (N,) shares of it."""
         return Paint(
-            albedo=_mix(self.albedo, other.albedo, share[:, None]),
-            roughness=_mix(self.roughness, other.roughness, share),
-            specular=_mix(self.specular, other.specular, share),
-            scatter=_mix(self.scatter, other.scatter, share),
+            albedo=mix(self.albedo, other.albedo, share[:, None]),
+            roughness=mix(self.roughness, other.roughness, share),
+            specular=mix(self.specular, other.specular, share),
+            scatter=mix(self.scatter, other.scatter, share),
         )
 
     def tinted(self, factors: np.ndarray) -> Paint:
@@ -43,5 +43,6 @@ class Paint:
         return Paint(self.albedo * factors, self.roughness, self.specular, self.scatter)
 
 
-def _mix(below: np.ndarray, above: np.ndarray, share: np.ndarray) -> np.ndarray:
+def mix(below: np.ndarray, above: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """``share`` of one value over the rest of another."""
     return below + share * (above - below)

@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from samira_warp.subject.streams import Purpose, generator_of
+
 Colour = tuple[float, float, float]
 """Linear."""
 
@@ -46,16 +48,16 @@ def look_of(seed: int) -> Look:
     """A person's colours: dark skin comes with dark eyes and hair."""
     if seed == 0:
         return FIRST
-    rng = np.random.default_rng([seed, 1])
-    tone = rng.uniform(0.0, len(SKIN) - 1.0)
+    generator = generator_of(seed, Purpose.LOOK)
+    tone = generator.uniform(0.0, len(SKIN) - 1.0)
     darkness = tone / (len(SKIN) - 1.0)
-    beard = rng.uniform(0.2, 0.8) if rng.random() < 0.5 else 0.0
+    beard = generator.uniform(0.2, 0.8) if generator.random() < 0.5 else 0.0
     return Look(
         skin=_between(SKIN, tone),
-        iris=_between(IRIS, np.clip(3.2 * darkness + rng.uniform(0.0, 1.5), 0.0, 3.0)),
-        hair=_between(HAIR[:3], np.clip(1.6 * darkness + rng.uniform(0.2, 1.2), 0.0, 2.0)) if rng.random() < 0.9 else HAIR[3],
+        iris=_between(IRIS, np.clip(3.2 * darkness + generator.uniform(0.0, 1.5), 0.0, 3.0)),
+        hair=_between(HAIR[:3], np.clip(1.6 * darkness + generator.uniform(0.2, 1.2), 0.0, 2.0)) if generator.random() < 0.9 else HAIR[3],
         beard=float(beard),
-        freckles=float(max(0.0, rng.uniform(-0.5, 1.0)) * (1.0 - darkness)),
+        freckles=float(max(0.0, generator.uniform(-0.5, 1.0)) * (1.0 - darkness)),
     )
 
 

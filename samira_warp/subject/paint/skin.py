@@ -33,16 +33,15 @@ FLUSHED = (
 def skin_paint(t: Texels, look: Look, *, seed: int) -> Paint:
     """Skin over all texels, as if all of the head were skin."""
     points = t.points
-    mottle = fractal_noise(points, wavelength=9.0, octaves=4, seed=seed + 10)
-    blood = 0.16 * fractal_noise(points, wavelength=16.0, octaves=3, seed=seed + 20)
-    on_left = points * (-1.0, 1.0, 1.0)
-    on_left[points[:, 0] > 0.0, 0] *= -1.0
+    mottle = fractal_noise(points, wavelength=9.0, octaves=4, seed=seed, field="mottle")
+    blood = 0.16 * fractal_noise(points, wavelength=16.0, octaves=3, seed=seed, field="blood")
+    on_left = np.abs(points * (1.0, 0.0, 0.0)) + points * (0.0, 1.0, 1.0)
     for middle, reach, strength in FLUSHED:
         blood += strength * np.exp(-((on_left - middle) ** 2).sum(axis=1) / reach**2)
     blood += 0.55 * t.is_part("left_ear", "right_ear")
     shade = 0.5 * np.exp(-((((on_left - (27.0, -11.0, 8.0)) / (11.0, 5.0, 12.0)) ** 2).sum(axis=1)))
     colour = np.array(look.skin) * np.power(BLOOD, blood[:, None]) * np.power(MELANIN, (0.5 * shade + 0.12 * mottle)[:, None])
-    colour = colour * (1.0 + 0.035 * value_noise(points / 1.1, seed=seed + 30))[:, None]
+    colour = colour * (1.0 + 0.035 * value_noise(points / 1.1, seed=seed, field="grain"))[:, None]
     paint = Paint.plain(colour, roughness=0.46, specular=0.028, scatter=1.0)
     oily = np.exp(-((points[:, 0] / 16.0) ** 2)) * (1.0 - fade(points[:, 1], -60.0, -40.0)) * (points[:, 2] > 0.0)
     roughness = paint.roughness - 0.08 * oily + 0.04 * mottle
@@ -51,7 +50,7 @@ def skin_paint(t: Texels, look: Look, *, seed: int) -> Paint:
 
 def with_nostrils(paint: Paint, t: Texels) -> Paint:
     """The dark within the nostrils, deeper than their dents are."""
-    on_left = np.column_stack([np.abs(t.points[:, 0]), t.points[:, 1:]])
+    on_left = np.abs(t.points * (1.0, 0.0, 0.0)) + t.points * (0.0, 1.0, 1.0)
     start, along = np.array([6.2, -42.8, 30.0]), np.array([4.0, 0.4, -3.0])
     share = np.clip(((on_left - start) * along).sum(axis=1) / (along**2).sum(), 0.0, 1.0)
     distance = np.linalg.norm(on_left - start - share[:, None] * along, axis=1)
@@ -63,17 +62,17 @@ def with_freckles(paint: Paint, t: Texels, look: Look, *, seed: int) -> Paint:
     """Freckles over cheeks and nose, and a few moles anywhere."""
     points = t.points
     sunny = np.exp(-(((np.abs(points[:, 0]) - 22.0) / 22.0) ** 2) - ((points[:, 1] + 22.0) / 15.0) ** 2) * (points[:, 2] > -20.0)
-    many = spots(points, spacing=3.4, radius=(0.35, 0.95), share=0.55, seed=seed + 40)
-    few = spots(points, spacing=34.0, radius=(0.7, 1.3), share=0.22, seed=seed + 50)
+    many = spots(points, spacing=3.4, radius=(0.35, 0.95), share=0.55, seed=seed, field="freckles")
+    few = spots(points, spacing=34.0, radius=(0.7, 1.3), share=0.22, seed=seed, field="moles")
     strength = 0.9 * look.freckles * np.clip(1.6 * sunny + 0.05, 0.0, 1.0) * many + 2.0 * few * t.is_part("skin")
     return paint.tinted(np.power(MELANIN, strength[:, None]))
 
 
 def with_lips(paint: Paint, t: Texels, look: Look, *, seed: int) -> Paint:
     """The vermilion, with its fine upright lines, darker where the lips meet."""
-    wobble = 0.35 * value_noise(t.points / 1.7, seed=seed + 60)
+    wobble = 0.35 * value_noise(t.points / 1.7, seed=seed, field="lip border")
     share = fade(t.lip + wobble, -0.9, 0.5) * t.is_part("skin", "mouth")
-    lines = value_noise(t.points * (1.15, 0.16, 0.3), seed=seed + 61)
+    lines = value_noise(t.points * (1.15, 0.16, 0.3), seed=seed, field="lip lines")
     deep = fade(t.lip, -9.0, -4.5)
     colour = np.array(look.skin) * LIP * (1.0 + 0.09 * lines - 0.22 * deep)[:, None]
     wet = Paint.plain(colour, roughness=0.34, specular=0.032, scatter=0.8)
@@ -86,12 +85,12 @@ def with_beard(paint: Paint, t: Texels, look: Look, *, seed: int) -> Paint:
         return paint
     x, y, z = t.points.T
     upper = np.interp(-z, [-31.0, -22.0, -12.0, 5.0, 35.0, 62.0, 72.0], [-49.0, -50.0, -58.0, -57.0, -44.0, -18.0, 5.0])
-    grows = fade(y + 3.0 * value_noise(t.points / 9.0, seed=seed + 70), upper - 5.0, upper + 3.0) * fade(-y, 116.0, 142.0)
+    grows = fade(y + 3.0 * value_noise(t.points / 9.0, seed=seed, field="beard edge"), upper - 5.0, upper + 3.0) * fade(-y, 116.0, 142.0)
     grows *= fade(-z, 66.0, 78.0) * (1.0 - fade(t.lip, 0.5, 2.2)) * t.is_part("skin")
     # bare beside the lower lip's middle, thin on the cheeks
     bare = np.exp(-(((np.abs(x) - 15.0) / 6.0) ** 2) - ((y + 79.0) / 4.0) ** 2)
     grows *= (1.0 - 0.7 * bare) * (0.55 + 0.45 * fade(np.abs(x), 20.0, 50.0))
-    points = np.clip(value_noise(t.points / 0.75, seed=seed + 71) * 1.6 - 0.2, 0.0, 1.0)
+    points = np.clip(value_noise(t.points / 0.75, seed=seed, field="stubble") * 1.6 - 0.2, 0.0, 1.0)
     share = look.beard * grows * (0.38 + 0.5 * points)
     hair = Paint.plain(np.tile(np.array(look.hair) * 0.9 + (0.0, 0.004, 0.01), (len(x), 1)), roughness=0.55, specular=0.03, scatter=0.6)
     return paint.under(hair, np.clip(share, 0.0, 1.0))
