@@ -14,6 +14,7 @@ from tqdm import tqdm
 
 from samira_warp.camera import Camera
 from samira_warp.data.vhap import CANONICAL_FILE
+from samira_warp.errors import UserError
 from samira_warp.files import replace_folder
 from samira_warp.head.model import FrameParameters, HeadModel
 from samira_warp.head.template import save_template
@@ -53,6 +54,9 @@ class SubjectPlan:
         size: Width and height of the pictures, pixels.
         texels: Width and height of the painted maps.
         effort: How many rays.
+
+    Raises:
+        UserError: A number is too small.
     """
 
     seed: int = 0
@@ -62,6 +66,11 @@ class SubjectPlan:
     size: int = SIZE
     texels: int = TEXELS
     effort: Effort = field(default_factory=Effort)
+
+    def __post_init__(self) -> None:
+        for name, least in (("seed", 0), ("train", 1), ("test", 1), ("relit", 0), ("size", 1), ("texels", 1)):
+            if getattr(self, name) < least:
+                raise UserError(name, expected=f"at least {least}", found=getattr(self, name))
 
 
 class Light:

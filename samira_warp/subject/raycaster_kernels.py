@@ -205,6 +205,50 @@ def _shade(head: Head, sky: Sky, surface: Surface, index: wp.int32, lights: wp.i
     return light
 
 
+@wp.func
+def _head_of(
+    mesh: wp.uint64,
+    faces: wp.array2d(dtype=wp.int32),
+    points: wp.array(dtype=wp.vec3),
+    normals: wp.array(dtype=wp.vec3),
+    turns: wp.array(dtype=wp.mat33),
+    corner_uv: wp.array2d(dtype=wp.vec2),
+    albedo: wp.array2d(dtype=wp.vec3),
+    finish: wp.array2d(dtype=wp.vec3),
+    slopes: wp.array2d(dtype=wp.vec3),
+) -> Head:
+    """A kernel's arguments as one head."""
+    head = Head()
+    head.mesh = mesh
+    head.faces = faces
+    head.points = points
+    head.normals = normals
+    head.turns = turns
+    head.corner_uv = corner_uv
+    head.albedo = albedo
+    head.finish = finish
+    head.slopes = slopes
+    return head
+
+
+@wp.func
+def _sky_of(
+    radiance: wp.array2d(dtype=wp.vec3),
+    rows: wp.array(dtype=wp.float32),
+    columns: wp.array2d(dtype=wp.float32),
+    density: wp.array2d(dtype=wp.float32),
+    irradiance: wp.array2d(dtype=wp.vec3),
+) -> Sky:
+    """A kernel's arguments as one sky."""
+    sky = Sky()
+    sky.radiance = radiance
+    sky.rows = rows
+    sky.columns = columns
+    sky.density = density
+    sky.irradiance = irradiance
+    return sky
+
+
 @wp.kernel(enable_backward=False)
 def trace_pixels(
     first: wp.int32,
@@ -247,22 +291,8 @@ def trace_pixels(
     The products are those of the luminance of what a sample found (``seen`` and ``rest``), and of what it drew beyond ``open``.
     """
     pixel = pixels[first + wp.tid()]
-    head = Head()
-    head.mesh = mesh
-    head.faces = faces
-    head.points = points
-    head.normals = normals
-    head.turns = turns
-    head.corner_uv = corner_uv
-    head.albedo = albedo
-    head.finish = finish
-    head.slopes = slopes
-    sky = Sky()
-    sky.radiance = sky_radiance
-    sky.rows = sky_rows
-    sky.columns = sky_columns
-    sky.density = sky_density
-    sky.irradiance = sky_irradiance
+    head = _head_of(mesh, faces, points, normals, turns, corner_uv, albedo, finish, slopes)
+    sky = _sky_of(sky_radiance, sky_rows, sky_columns, sky_density, sky_irradiance)
     state = wp.rand_init(seed, pixel)
     pixel_seed = wp.randu(state)
     row = pixel // width
