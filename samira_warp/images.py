@@ -243,7 +243,8 @@ def _decode(image: oiio.ImageInput, path: Path, pixel_type: object) -> np.ndarra
     return pixels
 
 
-def _write(path: Path, array: np.ndarray, pixel_type: object) -> None:
+def _write(path: str | Path, array: np.ndarray, pixel_type: object) -> None:
+    path = Path(path)
     pixels = np.ascontiguousarray(array if array.ndim == 3 else array[..., None])
     height, width, channels = pixels.shape
     spec = oiio.ImageSpec(width, height, channels, pixel_type)

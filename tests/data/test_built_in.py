@@ -68,9 +68,11 @@ def test_the_avatar_is_drawn_the_same(sequence, avatar):
             expected = avatar.render(parameters_of(film, row).to(dtype=torch.float32), camera)
             found = avatar.render(frame.parameters, frame.camera)
         assert expected.gbuffer.alpha.max() > 0.5
-        # float32 moves a Gaussian by 1e-6 m, which is 2e-4 px, and edges rise by less than 1 in a pixel: all below a level of 8 bits
+        # float32 moves a Gaussian by 1e-6 m, which is 2e-4 px, and edges rise by less than 1 in a pixel; where a Gaussian lies at the
+        # rasteriser's cut of 1/255, though, it comes or goes with as much
         difference = (found.image - expected.image).abs()
-        assert difference.max() < 0.5 / 255
+        assert difference.max() < 1.1 / 255
+        assert (difference > 1e-3).float().mean() < 1e-3
         assert difference.mean() < 1e-5
 
 
