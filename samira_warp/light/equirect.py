@@ -71,6 +71,12 @@ def direction_to_equirect(directions: torch.Tensor, *, rotate: float = 0.0) -> t
     return u - torch.floor(u), v
 
 
+def row_solid_angles(height: int, width: int, *, device: torch.device | str = "cpu") -> torch.Tensor:
+    """(height,) float64 solid angle of a panorama's pixels by row, exact, steradians."""
+    edges = torch.cos(torch.linspace(0.0, math.pi, height + 1, dtype=torch.float64, device=device))
+    return (edges[:-1] - edges[1:]) * (2.0 * math.pi / width)
+
+
 def turn_directions(directions: torch.Tensor, rotate: float) -> torch.Tensor:
     """Where to look up, in a light as it was, what unit directions (..., 3) see of it once it is turned by ``rotate`` degrees."""
     cosine, sine = math.cos(math.radians(rotate)), math.sin(math.radians(rotate))
@@ -105,8 +111,7 @@ def _shrink(equirect: torch.Tensor, *, columns: int) -> torch.Tensor:
     factor = max(f for f in range(1, factor + 1) if factor % f == 0 and (f == 1 or width // f >= columns))
     if factor == 1:
         return equirect
-    edges = torch.cos(torch.linspace(0.0, math.pi, height + 1, dtype=torch.float64, device=equirect.device))
-    weights = (edges[:-1] - edges[1:]).to(equirect.dtype).view(-1, factor, 1, 1)
+    weights = row_solid_angles(height, width, device=equirect.device).to(equirect.dtype).view(-1, factor, 1, 1)
     blocks = equirect.view(height // factor, factor, width // factor, factor * channels)
     rows = (blocks * weights).sum(dim=1) / weights.sum(dim=1)
     return rows.view(height // factor, width // factor, factor, channels).mean(dim=2)

@@ -9,7 +9,7 @@ import torch
 import warp as wp
 
 from samira_warp.light.environment import LUMINANCE
-from samira_warp.light.equirect import equirect_directions, wrap_equirect
+from samira_warp.light.equirect import equirect_directions, row_solid_angles, wrap_equirect
 
 PI = wp.constant(math.pi)
 
@@ -51,8 +51,7 @@ class SkyTables(NamedTuple):
         """The tables of a (H, W, 3) float32 panorama, on its device."""
         height, width = radiance.shape[:2]
         brightness = radiance.double() @ torch.tensor(LUMINANCE, dtype=torch.float64, device=radiance.device)
-        edges = torch.cos(torch.linspace(0.0, math.pi, height + 1, dtype=torch.float64, device=radiance.device))
-        angles = ((edges[:-1] - edges[1:]) * (2.0 * math.pi / width))[:, None]
+        angles = row_solid_angles(height, width, device=radiance.device)[:, None]
         mean = (brightness * angles).sum() / (4.0 * math.pi)
         chances = (brightness + FLOOR * mean + 1e-12) * angles
         chances = chances / chances.sum()
@@ -76,8 +75,7 @@ def _irradiance(radiance: torch.Tensor) -> torch.Tensor:
     """
     height, width = radiance.shape[:2]
     rows, columns = math.gcd(height, IRRADIANCE_ROWS), math.gcd(width, 2 * IRRADIANCE_ROWS)
-    edges = torch.cos(torch.linspace(0.0, math.pi, height + 1, dtype=torch.float64, device=radiance.device))
-    angles = ((edges[:-1] - edges[1:]) * (2.0 * math.pi / width))[:, None, None]
+    angles = row_solid_angles(height, width, device=radiance.device)[:, None, None]
     directions = equirect_directions(height, device=radiance.device)
     normals = equirect_directions(IRRADIANCE_ROWS, device=radiance.device)
     result = torch.empty_like(normals)

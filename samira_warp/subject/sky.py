@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 
 from samira_warp.light.environment import LUMINANCE
-from samira_warp.light.equirect import equirect_directions
+from samira_warp.light.equirect import equirect_directions, row_solid_angles
 
 HEIGHT = 128
 """Rows of a panorama, which is twice as wide: a softbox's edge is some four texels."""
@@ -127,8 +127,7 @@ def exposure_of(radiance: torch.Tensor) -> float:
     """The exposure of a light: 0.8 / (0.5 x its mean radiance + 0.5 x irradiance on a surface that faces +z / pi), by luminance."""
     brightness = radiance.double() @ torch.tensor(LUMINANCE, dtype=torch.float64)
     height, width = brightness.shape
-    edges = torch.cos(torch.linspace(0.0, math.pi, height + 1, dtype=torch.float64))
-    angles = ((edges[:-1] - edges[1:]) * (2.0 * math.pi / width))[:, None]
+    angles = row_solid_angles(height, width)[:, None]
     facing = equirect_directions(height)[..., 2].double().clamp(min=0.0)
     mean = (brightness * angles).sum() / (4.0 * math.pi)
     front = (brightness * facing * angles).sum() / math.pi

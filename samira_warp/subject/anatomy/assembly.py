@@ -19,19 +19,17 @@ PARTS = ("skin", "mouth", "left_eyeball", "right_eyeball", "left_ear", "right_ea
 """Names of the parts, by number."""
 
 
-@dataclass(frozen=True, eq=False)
-class Anatomy:
-    """The mean head in millimetres; origin midway between the eyes, x to the subject's left, y up, z out of the face.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Vertices:
+    """What is known of each vertex, of one part or of the whole head.
 
     Attributes:
         points: (V, 3) float64.
         faces: (F, 3) int64 vertex ids, counter-clockwise from outside (in the mouth: from within it).
-        vt: (T, 2) float64 places in the atlas.
-        ft: (F, 3) int64 ids into vt.
         part: (V,) int64 number in `PARTS`.
         mirror: (V,) int64 the vertex on the other side of the head.
         lid: (V,) millimetres of skin to the lids' edge, negative behind it; FAR away from the eyes.
-        lip: (V,) millimetres of skin to the lips' border, negative on the lips, -20 and less within the mouth; FAR away from the mouth.
+        lip: (V,) millimetres of skin to the lips' border, negative on the lips, WITHIN and less in the mouth; FAR away from the mouth.
         turn: (V,) radians about the opening, 0 at its outer corner, positive above; 0 away from openings.
         cavity: (V,) 0 at the lips to 1 at the throat.
         tooth: (V, 2) teeth counted from the midline, and 0 at the gum's line to 1 at the edge; 0 off the teeth.
@@ -39,8 +37,6 @@ class Anatomy:
 
     points: np.ndarray
     faces: np.ndarray
-    vt: np.ndarray
-    ft: np.ndarray
     part: np.ndarray
     mirror: np.ndarray
     lid: np.ndarray
@@ -48,26 +44,30 @@ class Anatomy:
     turn: np.ndarray
     cavity: np.ndarray
     tooth: np.ndarray
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Anatomy(_Vertices):
+    """The mean head in millimetres; origin midway between the eyes, x to the subject's left, y up, z out of the face.
+
+    Attributes:
+        vt: (T, 2) float64 places in the atlas.
+        ft: (F, 3) int64 ids into vt.
+    """
+
+    vt: np.ndarray
+    ft: np.ndarray
 
     def is_part(self, *names: str) -> np.ndarray:
         """(V,) bool: the vertices of some parts."""
         return np.isin(self.part, [PARTS.index(name) for name in names])
 
 
-@dataclass(frozen=True, eq=False)
-class _Piece:
-    """Vertices of one part, with their own faces and chart."""
+@dataclass(frozen=True, eq=False, kw_only=True)
+class _Piece(_Vertices):
+    """One part, whose faces, mirror images and chart count from 0."""
 
-    points: np.ndarray
-    faces: np.ndarray
     chart: Chart
-    part: np.ndarray
-    mirror: np.ndarray
-    lid: np.ndarray
-    lip: np.ndarray
-    turn: np.ndarray
-    cavity: np.ndarray
-    tooth: np.ndarray
 
 
 @cache

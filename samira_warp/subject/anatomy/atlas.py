@@ -53,7 +53,7 @@ def skin_chart(half: HalfSkin) -> Chart:
     lined = (half.lip[half.triangles] <= WITHIN).any(axis=1)
     faces = np.concatenate([half.triangles + lined[:, None] * count, half.triangles[:, [0, 2, 1]] + (2 + lined[:, None]) * count])
     vt = np.concatenate([left, bag_left, right, bag_right])
-    # crown and throat are one vertex each, but every face has a corner of its own there
+    # the crown is one vertex, but every face has a corner of its own there
     vt, faces = _split_pole(vt, faces, {count - 1, 3 * count - 1})
     used, ids = np.unique(faces, return_inverse=True)
     return Chart(vt[used], ids.reshape(faces.shape))

@@ -16,9 +16,11 @@ from samira_warp.subject.anatomy.sections import descent_of_front, lowest_descen
 SCALE = 85.0
 """Millimetres on the unrolled head for a radian of azimuth: about the head's radius."""
 
-
 FACE_SPACING, SKULL_SPACING, BACK_SPACING = 5.6, 10.0, 12.0
 """Millimetres between vertices on the face, above and below it, and behind: some 5,500 vertices in all."""
+
+FAR = 99.0
+"""Stands for a distance that does not matter."""
 
 
 class HalfSkin(NamedTuple):
@@ -41,10 +43,6 @@ class HalfSkin(NamedTuple):
     lip: np.ndarray
     turn: np.ndarray
     cavity: np.ndarray
-
-
-FAR = 99.0
-"""Stands for a distance that does not matter."""
 
 
 def half_skin() -> HalfSkin:

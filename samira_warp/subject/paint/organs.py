@@ -17,7 +17,7 @@ PUPIL_RADIUS = 2.1
 
 def eye_paint(t: Texels, look: Look, *, seed: int) -> Paint:
     """White, iris and pupil under one wet coat, as if all of the head were eyeballs."""
-    offset = np.where(t.points[:, :1] > 0.0, 1.0, (-1.0, 1.0, 1.0)) * t.points - EYE
+    offset = t.on_left() - EYE
     radius = np.where(offset[:, 2] > 0.0, np.hypot(offset[:, 0], offset[:, 1]), EYE_RADIUS)
     turn = np.arctan2(offset[:, 1], offset[:, 0])
     redness = fade(EYE_RADIUS - np.abs(offset[:, 0]), 1.0, 7.0)

@@ -35,7 +35,7 @@ def skin_paint(t: Texels, look: Look, *, seed: int) -> Paint:
     points = t.points
     mottle = fractal_noise(points, wavelength=9.0, octaves=4, seed=seed, field="mottle")
     blood = 0.16 * fractal_noise(points, wavelength=16.0, octaves=3, seed=seed, field="blood")
-    on_left = np.abs(points * (1.0, 0.0, 0.0)) + points * (0.0, 1.0, 1.0)
+    on_left = t.on_left()
     for middle, reach, strength in FLUSHED:
         blood += strength * np.exp(-((on_left - middle) ** 2).sum(axis=1) / reach**2)
     blood += 0.55 * t.is_part("left_ear", "right_ear")
@@ -50,7 +50,7 @@ def skin_paint(t: Texels, look: Look, *, seed: int) -> Paint:
 
 def with_nostrils(paint: Paint, t: Texels) -> Paint:
     """The dark within the nostrils, deeper than their dents are."""
-    on_left = np.abs(t.points * (1.0, 0.0, 0.0)) + t.points * (0.0, 1.0, 1.0)
+    on_left = t.on_left()
     start, along = np.array([6.2, -42.8, 30.0]), np.array([4.0, 0.4, -3.0])
     share = np.clip(((on_left - start) * along).sum(axis=1) / (along**2).sum(), 0.0, 1.0)
     distance = np.linalg.norm(on_left - start - share[:, None] * along, axis=1)

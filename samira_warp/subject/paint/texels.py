@@ -66,6 +66,10 @@ class Texels:
         """(N,) bool: the texels of some parts."""
         return np.isin(self.part, [PARTS.index(name) for name in names])
 
+    def on_left(self) -> np.ndarray:
+        """(N, 3) points, those on the subject's right mirrored to the left."""
+        return np.column_stack([np.abs(self.points[:, 0]), self.points[:, 1:]])
+
     def spread(self, values: np.ndarray) -> np.ndarray:
         """(S, S, C) map of (N, C) values; texels that no face covers copy the nearest that one does."""
         image = np.zeros((self.size, self.size, values.shape[1]))
