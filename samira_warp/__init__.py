@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 from typing import TYPE_CHECKING, Any
 
-# Before torch loads OpenMP: its threads spin between parallel regions by default, and on a machine that other processes also use,
-# spinning threads keep the cores from the thread that has work: training steps then take ten times as long. Waiting costs next to nothing.
+# Before torch loads OpenMP: its threads spin between parallel regions by default, and on a machine that other
+# processes also use, spinning threads keep the cores from the thread that has work: training steps then take
+# ten times as long. Waiting costs next to nothing.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
 __version__ = "0.1.0"
@@ -14,15 +15,22 @@ __all__ = ["Avatar", "Camera", "Environment", "UserError", "__version__"]
 
 if TYPE_CHECKING:
     from samira_warp.avatar import Avatar
-    from samira_warp.camera import Camera
-    from samira_warp.errors import UserError
+    from samira_warp.geometry.camera import Camera
     from samira_warp.light import Environment
+    from samira_warp.support.errors import UserError
 
-_HOMES = {"Avatar": "avatar", "Camera": "camera", "Environment": "light", "UserError": "errors"}
+_HOMES = {
+    "Avatar": "avatar",
+    "Camera": "geometry.camera",
+    "Environment": "light",
+    "UserError": "support.errors",
+}
 
 
 def __getattr__(name: str) -> Any:
-    """Import a public name on first use, so that ``import samira_warp`` itself loads neither torch nor Warp."""
+    """Import a public name on first use, so that ``import samira_warp`` itself loads neither torch nor
+    Warp.
+    """
     import importlib
 
     if name not in _HOMES:

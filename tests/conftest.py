@@ -42,7 +42,8 @@ def subject():
 
 @pytest.fixture(scope="session")
 def tiny_dataset(tmp_path_factory):
-    """A made-up subject of six frames of 32 x 32 pixels, four of which train. Tests that change it copy it first."""
+    """A made-up subject of six frames of 32 x 32 pixels, four of which train. Tests that change it copy it
+    first."""
     from data.tiny import make_tiny_dataset
 
     return make_tiny_dataset(tmp_path_factory.mktemp("tiny") / "subject")
@@ -60,7 +61,8 @@ def tiny_run(tiny_dataset, tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def built_in_datasets(tmp_path_factory):
-    """Folders of the built-in subject's film in every layout, by its name; the first five of eight frames of 64 x 64 pixels train.
+    """Folders of the built-in subject's film in every layout, by its name; the first five of eight frames of
+    64 x 64 pixels train.
 
     Tests that change one copy it first.
     """

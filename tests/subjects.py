@@ -1,6 +1,7 @@
 """Small subjects that tests pose, train and render.
 
-``python tests/subjects.py OPTIONS`` is ``python -m samira_warp.train OPTIONS`` with a preset that takes a fraction of a second a step.
+``python tests/subjects.py OPTIONS`` is ``python -m samira_warp.train OPTIONS`` with a preset that takes a
+fraction of a second a step.
 """
 
 import contextlib
@@ -19,14 +20,14 @@ if str(TESTS) not in sys.path:
 from data.tiny import N_EXPRESSION, N_SHAPE, tiny_template  # noqa: E402
 
 from samira_warp.avatar import Avatar, AvatarSettings, CanonicalHead, conditions_of  # noqa: E402
-from samira_warp.camera import Camera  # noqa: E402
-from samira_warp.cli import run  # noqa: E402
 from samira_warp.evaluate.lpips import _BACKBONES, _backbone_shapes, _head_shapes  # noqa: E402
+from samira_warp.geometry.camera import Camera  # noqa: E402
 from samira_warp.head import FrameParameters, read_template  # noqa: E402
 from samira_warp.light import LearnableLight  # noqa: E402
 from samira_warp.nets import ConditionStatistics, MotionSettings  # noqa: E402
 from samira_warp.render.__main__ import main as render_main  # noqa: E402
 from samira_warp.render.config import RenderConfig  # noqa: E402
+from samira_warp.support.cli import run  # noqa: E402
 from samira_warp.train.__main__ import main as train_main  # noqa: E402
 from samira_warp.train.config import PRESETS, Preset, TrainConfig  # noqa: E402
 from samira_warp.train.initialize import initial_gaussians  # noqa: E402
@@ -47,13 +48,28 @@ def small_preset():
 def train_arguments(data, out, *more):
     """Options of a run of STEPS steps with a checkpoint in its middle."""
     sizes = ["--max-steps", str(STEPS), "--checkpoint-every", "3", "--preview-every", "3"]
-    return ["--data", str(data), "--out", str(out), "--preset", "cpu", "--device", "cpu", "--encoder", "random", *sizes, *map(str, more)]
+    return [
+        "--data",
+        str(data),
+        "--out",
+        str(out),
+        "--preset",
+        "cpu",
+        "--device",
+        "cpu",
+        "--encoder",
+        "random",
+        *sizes,
+        *map(str, more),
+    ]
 
 
 def train_command(*arguments):
     """The train verb in this process, with the small preset; its exit status."""
     with small_preset():
-        return run(train_main, TrainConfig, program="python -m samira_warp.train", arguments=[*map(str, arguments)])
+        return run(
+            train_main, TrainConfig, program="python -m samira_warp.train", arguments=[*map(str, arguments)]
+        )
 
 
 @functools.cache
@@ -65,7 +81,9 @@ def small_template():
 
 @functools.cache
 def small_canonical(uv_size=32):
-    return CanonicalHead.build(small_template(), shape=torch.full((N_SHAPE,), 0.1), static_offset=None, uv_size=uv_size)
+    return CanonicalHead.build(
+        small_template(), shape=torch.full((N_SHAPE,), 0.1), static_offset=None, uv_size=uv_size
+    )
 
 
 def parameters(seed, *, turn=0.3, device="cpu"):
@@ -75,7 +93,9 @@ def parameters(seed, *, turn=0.3, device="cpu"):
     def draw(size, scale):
         return (scale * torch.randn(size, generator=generator)).to(device)
 
-    return FrameParameters(draw(3, 0.01), draw(3, turn), draw(3, turn), draw(3, 0.1), draw(6, 0.1), draw(N_EXPRESSION, 0.7))
+    return FrameParameters(
+        draw(3, 0.01), draw(3, turn), draw(3, turn), draw(3, 0.1), draw(6, 0.1), draw(N_EXPRESSION, 0.7)
+    )
 
 
 def camera(size=32, *, height=None, device="cpu"):
@@ -89,8 +109,8 @@ def camera(size=32, *, height=None, device="cpu"):
 def small_avatar(*, gaussians=200, perturb=0.0, motion=None, light_sizes=None, device="cpu", **settings):
     """An avatar on the made-up template, with random albedo and image features.
 
-    ``perturb`` is the scale of random weights in the last layer, which gives the motion network something to say; ``light_sizes`` makes the
-    learnable cubemaps smaller than an avatar that is saved may have them.
+    ``perturb`` is the scale of random weights in the last layer, which gives the motion network something to
+    say; ``light_sizes`` makes the learnable cubemaps smaller than an avatar that is saved may have them.
     """
     generator = torch.Generator().manual_seed(7)
     with torch.random.fork_rng(devices=[]):
@@ -106,15 +126,22 @@ def small_avatar(*, gaussians=200, perturb=0.0, motion=None, light_sizes=None, d
             generator=generator,
         )
         features = [
-            torch.randn(1, channels, width, width, generator=generator) for channels, width in zip((4, 6, 8), (16, 8, 4), strict=True)
+            torch.randn(1, channels, width, width, generator=generator)
+            for channels, width in zip((4, 6, 8), (16, 8, 4), strict=True)
         ]
         avatar = Avatar(
             canonical,
-            AvatarSettings(uv_size=size, motion=motion or MotionSettings(width=8, region_width=4, condition_width=8, bands=3), **settings),
+            AvatarSettings(
+                uv_size=size,
+                motion=motion or MotionSettings(width=8, region_width=4, condition_width=8, bands=3),
+                **settings,
+            ),
             gaussians=start,
             image_features=features,
             statistics=ConditionStatistics.of([conditions_of(parameters(seed)) for seed in range(6)]),
-            light=LearnableLight(torch.tensor([1.0, 0.9, 0.8]), tied=settings.get("tied_light", False), **(light_sizes or {})),
+            light=LearnableLight(
+                torch.tensor([1.0, 0.9, 0.8]), tied=settings.get("tied_light", False), **(light_sizes or {})
+            ),
         )
         if perturb:
             torch.nn.init.normal_(avatar.motion.residual.weight, std=perturb)
@@ -125,15 +152,23 @@ def small_avatar(*, gaussians=200, perturb=0.0, motion=None, light_sizes=None, d
 def render_command(*arguments, device="cpu"):
     """The render verb in this process; its exit status."""
     program = "python -m samira_warp.render"
-    return run(render_main, RenderConfig, program=program, arguments=[*map(str, arguments), "--device", device])
+    return run(
+        render_main, RenderConfig, program=program, arguments=[*map(str, arguments), "--device", device]
+    )
 
 
 def write_lpips_weights(folder, net):
     """Files of the right layout with random weights."""
     generator = torch.Generator().manual_seed(0)
     folder.mkdir()
-    for name, shapes in ((_BACKBONES[net].file, _backbone_shapes(net)), (_BACKBONES[net].head_file, _head_shapes(net))):
-        torch.save({key: 0.05 * torch.rand(shape, generator=generator) for key, shape in shapes.items()}, folder / name)
+    for name, shapes in (
+        (_BACKBONES[net].file, _backbone_shapes(net)),
+        (_BACKBONES[net].head_file, _head_shapes(net)),
+    ):
+        torch.save(
+            {key: 0.05 * torch.rand(shape, generator=generator) for key, shape in shapes.items()},
+            folder / name,
+        )
     return folder
 
 

@@ -42,7 +42,8 @@ def test_a_row_for_each_variant(tiny_run, tiny_dataset, compare, tmp_path, capsy
 
 
 def test_the_dataset_is_divided_as_for_training(tiny_run, tiny_dataset, compare, tmp_path, capsys):
-    """The avatar's record says so: with its last frame but one among those that train, a frame would be fitted that was never seen."""
+    """The avatar's record says so: with its last frame but one among those that train, a frame would be
+    fitted that was never seen."""
     data = with_truth(tiny_dataset, tmp_path / "data")
     run = shutil.copytree(tiny_run, tmp_path / "run")
     description = run / "avatar" / "avatar.json"
@@ -54,7 +55,12 @@ def test_the_dataset_is_divided_as_for_training(tiny_run, tiny_dataset, compare,
 
 
 def test_an_unknown_variant_is_refused_before_anything_else(compare, tmp_path, capsys):
-    assert compare("--avatar", tmp_path / "none", "--data", tmp_path / "none", "--only", "as trained", "tidy light") == 2
+    assert (
+        compare(
+            "--avatar", tmp_path / "none", "--data", tmp_path / "none", "--only", "as trained", "tidy light"
+        )
+        == 2
+    )
     error = capsys.readouterr().err
     assert "--only: expected some of as trained, tied light" in error
     assert error.endswith("found tidy light\n")

@@ -13,7 +13,16 @@ from samira_warp.light import encode_srgb
 
 TOOL = TESTS.parent / "tools" / "export_ply.py"
 
-STANDARD = ["x", "y", "z", "nx", "ny", "nz", *(f"f_dc_{i}" for i in range(3)), *(f"f_rest_{i}" for i in range(45))]
+STANDARD = [
+    "x",
+    "y",
+    "z",
+    "nx",
+    "ny",
+    "nz",
+    *(f"f_dc_{i}" for i in range(3)),
+    *(f"f_rest_{i}" for i in range(45)),
+]
 STANDARD += ["opacity", *(f"scale_{i}" for i in range(3)), *(f"rot_{i}" for i in range(4))]
 
 
@@ -63,7 +72,9 @@ def test_values_decode_to_the_moved_gaussians(tiny_run, tool, tmp_path, frame):
     np.testing.assert_array_equal(columns(vertex, "nx", "ny", "nz"), moved.normals.numpy())
     np.testing.assert_array_equal(columns(vertex, *(f"rot_{i}" for i in range(4))), moved.quaternions.numpy())
     # what a viewer does: exp, sigmoid, and 0.5 + Y_00 f_dc
-    np.testing.assert_allclose(np.exp(columns(vertex, "scale_0", "scale_1", "scale_2")), moved.scales.numpy(), rtol=1e-5)
+    np.testing.assert_allclose(
+        np.exp(columns(vertex, "scale_0", "scale_1", "scale_2")), moved.scales.numpy(), rtol=1e-5
+    )
     np.testing.assert_allclose(1 / (1 + np.exp(-vertex["opacity"])), opacities.numpy(), rtol=1e-5)
     shown = 0.5 + np.sqrt(1 / (4 * np.pi)) * columns(vertex, "f_dc_0", "f_dc_1", "f_dc_2")
     np.testing.assert_allclose(shown, albedo.numpy(), atol=1e-6)
@@ -83,7 +94,9 @@ def test_values_decode_to_the_moved_gaussians(tiny_run, tool, tmp_path, frame):
 def test_mistakes(tiny_run, tool, tmp_path, capsys, monkeypatch, options, named):
     monkeypatch.chdir(tmp_path)
     capsys.readouterr()
-    arguments = ["--avatar", tiny_run] * ("--avatar" not in options) + ["--out", "a.ply"] * ("--out" not in options)
+    arguments = ["--avatar", tiny_run] * ("--avatar" not in options) + ["--out", "a.ply"] * (
+        "--out" not in options
+    )
     assert export(tool, *arguments, *options) == 2
     message = capsys.readouterr().err.strip().splitlines()
     assert len(message) == 1

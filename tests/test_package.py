@@ -7,7 +7,9 @@ import samira_warp
 
 
 def run(code):
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True).stdout.strip()
+    return subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True
+    ).stdout.strip()
 
 
 def test_importing_the_package_loads_neither_torch_nor_warp():
@@ -31,7 +33,7 @@ def test_importing_every_module_compiles_and_starts_nothing():
 
 def test_public_names_come_from_their_homes():
     from samira_warp.avatar import Avatar
-    from samira_warp.camera import Camera
+    from samira_warp.geometry.camera import Camera
     from samira_warp.light import Environment
 
     assert (samira_warp.Avatar, samira_warp.Camera, samira_warp.Environment) == (Avatar, Camera, Environment)

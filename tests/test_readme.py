@@ -13,7 +13,9 @@ README = Path(__file__).parents[1] / "README.md"
 
 
 def python_blocks() -> list[str]:
-    return re.findall(r"^```python\n(.*?)^```", README.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE)
+    return re.findall(
+        r"^```python\n(.*?)^```", README.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE
+    )
 
 
 def write_hdr(path: Path) -> None:
@@ -25,7 +27,9 @@ def test_the_example_writes_its_picture(tiny_run, tmp_path):
     shutil.copytree(tiny_run, tmp_path / "runs" / "built_in")
     write_hdr(tmp_path / "studio.hdr")
     (example,) = python_blocks()
-    done = subprocess.run([sys.executable, "-c", example], cwd=tmp_path, capture_output=True, text=True, timeout=300)
+    done = subprocess.run(
+        [sys.executable, "-c", example], cwd=tmp_path, capture_output=True, text=True, timeout=300
+    )
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "relit.png").is_file()
     assert done.stdout.startswith("torch.Size([")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from subjects import TESTS
 
-from samira_warp.images import read_image, write_exr, write_png
+from samira_warp.io.images import read_image, write_exr, write_png
 from samira_warp.light import Environment
 
 TOOL = TESTS.parent / "tools" / "relight_table.py"
@@ -16,7 +16,8 @@ TOOL = TESTS.parent / "tools" / "relight_table.py"
 
 @pytest.fixture
 def tool(monkeypatch):
-    """The tool's module, with environment maps as cubes of 32 texels: the default's 256 take seconds to filter."""
+    """The tool's module, with environment maps as cubes of 32 texels: the default's 256 take seconds to
+    filter."""
     spec = importlib.util.spec_from_file_location("relight_table", TOOL)
     module = importlib.util.module_from_spec(spec)
     sys.modules["relight_table"] = module
@@ -26,7 +27,8 @@ def tool(monkeypatch):
 
 
 def with_truth(tiny_dataset, folder):
-    """A dataset with one light, under which everything is white: truth is what an oracle of white albedo gives."""
+    """A dataset with one light, under which everything is white: truth is what an oracle of white albedo
+    gives."""
     data = shutil.copytree(tiny_dataset, folder)
     names = ("00004_00", "00005_00")
     for layer in ("relight/even", "normal", "albedo"):
@@ -56,7 +58,9 @@ def test_a_row_for_each_light_with_the_oracle_beside_it(tiny_run, tiny_dataset, 
     assert rows["even"]["oracle foreground"] > 30
     assert rows["even"]["avatar foreground"] < rows["even"]["oracle foreground"]
     for row in rows.values():
-        assert {f"{who} {score}" for who in ("avatar", "oracle") for score in ("PSNR", "foreground", "with gain")} < set(row)
+        assert {
+            f"{who} {score}" for who in ("avatar", "oracle") for score in ("PSNR", "foreground", "with gain")
+        } < set(row)
 
 
 def test_a_dataset_without_lights_is_named(tiny_run, tiny_dataset, tool, capsys):

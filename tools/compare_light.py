@@ -2,9 +2,10 @@
 
 usage: python tools/compare_light.py --avatar DIR --data DIR [--steps N] [--only NAME ...] [--json]
 
-Geometry, motion and normals stay those of the avatar; light, albedo, roughness, reflectance and response factors start over as in
-training and are fitted to the training frames again, once a variant. Each is then scored on the test frames under the capture light and
-under the dataset's true relit frames, as `tools/relight_table.py` does.
+Geometry, motion and normals stay those of the avatar; light, albedo, roughness, reflectance and response
+factors start over as in training and are fitted to the training frames again, once a variant. Each is then
+scored on the test frames under the capture light and under the dataset's true relit frames, as
+`tools/relight_table.py` does.
 """
 
 from __future__ import annotations
@@ -20,15 +21,15 @@ from relight_table import AvatarPrediction, at_size, pairs, read_lights
 from samira_warp.avatar import Avatar, DrivingFrame, read_frames
 from samira_warp.avatar.gaussians import INITIAL_ROUGHNESS, INITIAL_SPECULAR, ROUGHNESS_RANGE, SPECULAR_RANGE
 from samira_warp.avatar.storage import DESCRIPTION_FILE, TEMPLATE_FILE, find_avatar
-from samira_warp.cli import run
 from samira_warp.data import PixelCache, Sequence, open_sequence
-from samira_warp.errors import UserError
 from samira_warp.evaluate import evaluate_images
-from samira_warp.files import read_json
-from samira_warp.images import read_image
-from samira_warp.kernels.gather import gather
+from samira_warp.io.files import read_json
+from samira_warp.io.images import read_image
+from samira_warp.kernels.gathering.gather import gather
 from samira_warp.light import LearnableLight, decode_srgb
 from samira_warp.light.color import ColorSpace
+from samira_warp.support.cli import run
+from samira_warp.support.errors import UserError
 from samira_warp.train.config import LossWeights, learning_rate
 from samira_warp.train.initialize import initial_albedo
 from samira_warp.train.losses import Target, linear_albedo, total_loss
@@ -99,7 +100,9 @@ def main(config: CompareConfig) -> None:
         raise UserError("--only", expected=f"some of {', '.join(VARIANTS)}", found=", ".join(unknown))
     sequence = _open_own(config)
     rows = []
-    with PixelCache(sequence.frames, width=config.resolution, height=config.resolution, max_bytes=PIXEL_CACHE_BYTES) as pixels:
+    with PixelCache(
+        sequence.frames, width=config.resolution, height=config.resolution, max_bytes=PIXEL_CACHE_BYTES
+    ) as pixels:
         for name in config.only:
             avatar = _fit(config, VARIANTS[name], sequence, pixels)
             rows.append({"variant": name, **_score(config, avatar, sequence)})
@@ -119,26 +122,46 @@ def _open_own(config: CompareConfig) -> Sequence:
     split = read_json(folder / DESCRIPTION_FILE)["record"].get("split", "dataset")
     sequence = open_sequence(config.data, split=split, flame=folder / TEMPLATE_FILE)
     trained_on = {frame.name for frame in read_frames(folder) if frame.part == "train"}
-    strange = [sequence.frames[index].name for index in sequence.train if sequence.frames[index].name not in trained_on]
+    strange = [
+        sequence.frames[index].name
+        for index in sequence.train
+        if sequence.frames[index].name not in trained_on
+    ]
     if strange:
-        raise UserError(config.data, expected="the dataset that the avatar was trained on", found=f"{strange[0]}, new to it")
+        raise UserError(
+            config.data,
+            expected="the dataset that the avatar was trained on",
+            found=f"{strange[0]}, new to it",
+        )
     return sequence
 
 
 def _print_row(row: dict[str, str | float], *, header: bool) -> None:
     if header:
         print("| " + " | ".join(row) + " |\n|" + "---|" * len(row))
-    print("| " + " | ".join(value if isinstance(value, str) else f"{value:.2f}" for value in row.values()) + " |", flush=True)
+    print(
+        "| "
+        + " | ".join(value if isinstance(value, str) else f"{value:.2f}" for value in row.values())
+        + " |",
+        flush=True,
+    )
 
 
 def _fit(config: CompareConfig, variant: Variant, sequence: Sequence, pixels: PixelCache) -> Avatar:
     """The avatar with light and materials fitted anew."""
     avatar = _start_over(Avatar.load(config.avatar), variant, sequence, pixels)
-    groups = {"light": list(avatar.light.parameters()), **{name: [getattr(avatar.gaussians, name)] for name in REFITTED}}
+    groups = {
+        "light": list(avatar.light.parameters()),
+        **{name: [getattr(avatar.gaussians, name)] for name in REFITTED},
+    }
     if variant.response:
         groups["response"] = [avatar.response_logits]
-    optimizer = torch.optim.Adam([{"params": values, "name": name} for name, values in groups.items()], lr=0.0, eps=1e-15, fused=True)
-    weights = LossWeights(response=variant.response_prior, normal_smoothness=0.0, normal_prior=0.0, residual=0.0, mask=0.0)
+    optimizer = torch.optim.Adam(
+        [{"params": values, "name": name} for name, values in groups.items()], lr=0.0, eps=1e-15, fused=True
+    )
+    weights = LossWeights(
+        response=variant.response_prior, normal_smoothness=0.0, normal_prior=0.0, residual=0.0, mask=0.0
+    )
     frames = {frame.name: frame for frame in read_frames(config.avatar) if frame.part == "train"}
     generator = torch.Generator().manual_seed(0)
     for step in range(config.steps):
@@ -146,7 +169,9 @@ def _fit(config: CompareConfig, variant: Variant, sequence: Sequence, pixels: Pi
         for group in optimizer.param_groups:
             group["lr"] = learning_rate(group["name"], step=step, steps=config.steps)
         optimizer.zero_grad(set_to_none=True)
-        _loss(avatar, frames[sequence.frames[index].name], _target(pixels, index, variant), weights).backward()
+        _loss(
+            avatar, frames[sequence.frames[index].name], _target(pixels, index, variant), weights
+        ).backward()
         optimizer.step()
         _hold_ranges(avatar, variant)
     return avatar.requires_grad_(False)
@@ -155,8 +180,12 @@ def _fit(config: CompareConfig, variant: Variant, sequence: Sequence, pixels: Pi
 def _start_over(avatar: Avatar, variant: Variant, sequence: Sequence, pixels: PixelCache) -> Avatar:
     """Initial light and materials on the avatar's geometry."""
     avatar.requires_grad_(False)
-    avatar.settings = replace(avatar.settings, color_space=variant.color_space, tied_light=variant.tied, response=variant.response)
-    displayed = initial_albedo(sequence, pixels, avatar.canonical, torch.full((*avatar.canonical.atlas.valid.shape, 3), 0.5))
+    avatar.settings = replace(
+        avatar.settings, color_space=variant.color_space, tied_light=variant.tied, response=variant.response
+    )
+    displayed = initial_albedo(
+        sequence, pixels, avatar.canonical, torch.full((*avatar.canonical.atlas.valid.shape, 3), 0.5)
+    )
     albedo = decode_srgb(displayed) if variant.color_space == "srgb" else displayed
     gaussians = avatar.gaussians
     sampled = gather(albedo.flatten(0, 1).contiguous(), avatar.uv_samples)
@@ -175,12 +204,16 @@ def _start_over(avatar: Avatar, variant: Variant, sequence: Sequence, pixels: Pi
 def _loss(avatar: Avatar, frame: DrivingFrame, target: Target, weights: LossWeights) -> torch.Tensor:
     height, width = target.image.shape[:2]
     rendering = avatar.render(frame.parameters, frame.camera.resized(width=width, height=height))
-    return torch.stack(list(total_loss(rendering, target, avatar, weights, stage_two=True, perceptual=None).values())).sum()
+    return torch.stack(
+        list(total_loss(rendering, target, avatar, weights, stage_two=True, perceptual=None).values())
+    ).sum()
 
 
 def _target(pixels: PixelCache, index: int, variant: Variant) -> Target:
     content = pixels[index]
-    albedo = None if content.albedo is None else linear_albedo(content.albedo, color_space=variant.color_space)
+    albedo = (
+        None if content.albedo is None else linear_albedo(content.albedo, color_space=variant.color_space)
+    )
     return Target(content.image, content.mask, albedo)
 
 
@@ -204,23 +237,35 @@ def _set_range(logits: torch.Tensor, value: float, whole: tuple[float, float]) -
 
 @torch.no_grad()
 def _score(config: CompareConfig, avatar: Avatar, sequence: Sequence) -> dict[str, float]:
-    """PSNR of the test frames under the learned light, and under each true light; their mean without the capture light; albedo."""
+    """PSNR of the test frames under the learned light, and under each true light; their mean without the
+    capture light; albedo.
+    """
     scores: dict[str, float] = {}
     learned = AvatarPrediction(avatar, avatar.light())
     for light in read_lights(config.data):
         if light.name == "capture":
-            scores["learned light"] = evaluate_images(pairs(sequence, light, learned, resolution=config.resolution), protocol={})["psnr"]
+            scores["learned light"] = evaluate_images(
+                pairs(sequence, light, learned, resolution=config.resolution), protocol={}
+            )["psnr"]
         predict = AvatarPrediction(avatar, light.environment.filtered())
-        scores[light.name] = evaluate_images(pairs(sequence, light, predict, resolution=config.resolution), protocol={})["psnr"]
+        scores[light.name] = evaluate_images(
+            pairs(sequence, light, predict, resolution=config.resolution), protocol={}
+        )["psnr"]
     others = [score for name, score in scores.items() if name not in ("learned light", "capture")]
-    return {**scores, "mean relit": sum(others) / len(others), "albedo": _albedo_score(config, avatar, sequence)}
+    return {
+        **scores,
+        "mean relit": sum(others) / len(others),
+        "albedo": _albedo_score(config, avatar, sequence),
+    }
 
 
 def _albedo_score(config: CompareConfig, avatar: Avatar, sequence: Sequence) -> float:
     """PSNR of every tenth test frame's albedo against gt/albedo, inside the matte."""
     errors = []
     for frame in [sequence.frames[index] for index in sequence.test[::10]]:
-        truth = at_size(read_image(config.data / "gt" / "albedo" / f"{frame.name}.png", channels=3), config.resolution)
+        truth = at_size(
+            read_image(config.data / "gt" / "albedo" / f"{frame.name}.png", channels=3), config.resolution
+        )
         inside = at_size(read_image(frame.mask_path, channels=1), config.resolution)[..., 0] > 0.95
         camera = frame.camera.resized(width=config.resolution, height=config.resolution)
         albedo = avatar.render(replace(frame.parameters, static_offset=None), camera).albedo

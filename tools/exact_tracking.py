@@ -2,7 +2,8 @@
 
 usage: python tools/exact_tracking.py --data DIR --out DIR
 
-The dataset brings gt/exact_parameters.npz: what its frames were rendered with, a row a timestep. Everything but flame_param/ is linked.
+The dataset brings gt/exact_parameters.npz: what its frames were rendered with, a row a timestep. Everything
+but flame_param/ is linked.
 """
 
 from __future__ import annotations
@@ -13,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
-from samira_warp.cli import run
 from samira_warp.data import open_sequence
-from samira_warp.errors import UserError
+from samira_warp.support.cli import run
+from samira_warp.support.errors import UserError
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,9 @@ def main(config: ExactConfig) -> None:
     sequence = open_sequence(config.data)
     truth_path = config.data / "gt" / "exact_parameters.npz"
     if not truth_path.is_file():
-        raise UserError(truth_path, expected="the parameters that the frames were rendered with", found="no such file")
+        raise UserError(
+            truth_path, expected="the parameters that the frames were rendered with", found="no such file"
+        )
     if config.out.exists():
         raise UserError(config.out, expected="a new folder", found="one that exists")
     truth = np.load(truth_path)

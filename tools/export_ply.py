@@ -2,8 +2,9 @@
 
 usage: python tools/export_ply.py --avatar DIR [--frame N] --out FILE.ply
 
-Gaussians are in world space, after binding and residual. Only the standard columns of 3D Gaussian splatting are written: position, normal,
-spherical harmonics of degree 3 (degree 0 holds the sRGB-encoded albedo, the rest is zero), opacity, scale and rotation.
+Gaussians are in world space, after binding and residual. Only the standard columns of 3D Gaussian splatting
+are written: position, normal, spherical harmonics of degree 3 (degree 0 holds the sRGB-encoded albedo, the
+rest is zero), opacity, scale and rotation.
 """
 
 from __future__ import annotations
@@ -18,9 +19,9 @@ from plyfile import PlyData, PlyElement
 
 from samira_warp.avatar import Avatar, read_frames
 from samira_warp.avatar.storage import find_avatar
-from samira_warp.cli import run
-from samira_warp.errors import UserError
 from samira_warp.head import FrameParameters
+from samira_warp.support.cli import run
+from samira_warp.support.errors import UserError
 
 SH_DEGREE_0 = 0.28209479177387814
 """The constant spherical harmonic, 1 / (2 sqrt(pi)): viewers show 0.5 + SH_DEGREE_0 * f_dc."""
@@ -49,7 +50,9 @@ def main(config: ExportConfig) -> None:
     if not 0 <= config.frame < len(frames):
         raise UserError("--frame", expected=f"0 to {len(frames) - 1}", found=config.frame)
     if config.out.suffix != ".ply":
-        raise UserError(config.out, expected="a file name ending in .ply", found=config.out.suffix or "no suffix")
+        raise UserError(
+            config.out, expected="a file name ending in .ply", found=config.out.suffix or "no suffix"
+        )
     if not config.out.parent.is_dir():
         raise UserError(config.out.parent, expected="an existing folder", found="no such folder")
     with torch.no_grad():
@@ -74,7 +77,11 @@ def splat_columns(avatar: Avatar, parameters: FrameParameters) -> dict[str, np.n
         tuple(f"scale_{i}" for i in range(3)): moved.scales.log(),
         tuple(f"rot_{i}" for i in range(4)): moved.quaternions,
     }
-    return {name: values[:, column].cpu().numpy() for names, values in groups.items() for column, name in enumerate(names)}
+    return {
+        name: values[:, column].cpu().numpy()
+        for names, values in groups.items()
+        for column, name in enumerate(names)
+    }
 
 
 if __name__ == "__main__":

@@ -11,18 +11,19 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from samira_warp.cli import run
-from samira_warp.errors import UserError
-from samira_warp.images import write_png
-from samira_warp.subject.cast import build_cast
-from samira_warp.subject.make import SIZE, TEXELS, Light, SubjectPlan, make_subject
-from samira_warp.subject.performance import perform
-from samira_warp.subject.raycaster import Effort
-from samira_warp.subject.sky import CAPTURE, SKIES
-from samira_warp.subject.studio import Studio, developed
+from samira_subject.cast import build_cast
+from samira_subject.make import SIZE, TEXELS, Light, SubjectPlan, make_subject
+from samira_subject.performance import perform
+from samira_subject.raycaster import Effort
+from samira_subject.sky import CAPTURE, SKIES
+from samira_subject.studio import Studio, developed
+from samira_warp.io.images import write_png
+from samira_warp.support.cli import run
+from samira_warp.support.errors import UserError
 
 PREVIEW_EFFORT = Effort(samples=16, more=16, tolerance=0.02)
-"""Rays of a picture that is looked at: an error of 2 % of the radiance is about one of 256 levels in skin's display values."""
+"""Rays of a picture that is looked at: an error of 2 % of the radiance is about one of 256 levels in skin's
+display values."""
 
 LARGEST_SEED = 2**31 - 1
 """What the ray caster's kernels take: an int32."""
@@ -67,9 +68,18 @@ def main(config: SubjectConfig) -> None:
 
 
 def _check_numbers(config: SubjectConfig) -> None:
-    for name, least in (("seed", 0), ("resolution", 1), ("train", 1), ("test", 1), ("relit", 0), ("preview_size", 1)):
+    for name, least in (
+        ("seed", 0),
+        ("resolution", 1),
+        ("train", 1),
+        ("test", 1),
+        ("relit", 0),
+        ("preview_size", 1),
+    ):
         if getattr(config, name) < least:
-            raise UserError(f"--{name.replace('_', '-')}", expected=f"at least {least}", found=getattr(config, name))
+            raise UserError(
+                f"--{name.replace('_', '-')}", expected=f"at least {least}", found=getattr(config, name)
+            )
     if config.seed > LARGEST_SEED:
         raise UserError("--seed", expected=f"at most {LARGEST_SEED}", found=config.seed)
     if config.light not in SKIES:
@@ -82,7 +92,9 @@ def _check_targets(config: SubjectConfig) -> None:
     if config.out is None and config.preview is None:
         raise UserError("--out", expected="a folder to make, or --preview FILE.png", found="neither")
     if config.out is not None and os.path.lexists(config.out):
-        raise UserError(config.out, expected="a new folder", found="one that exists" if config.out.is_dir() else "a file")
+        raise UserError(
+            config.out, expected="a new folder", found="one that exists" if config.out.is_dir() else "a file"
+        )
     if config.preview is not None:
         if config.preview.suffix.lower() != ".png" or config.preview.is_dir():
             found = "a folder" if config.preview.is_dir() else f"{config.preview.suffix!r}"
@@ -94,16 +106,21 @@ def _check_targets(config: SubjectConfig) -> None:
 def _write_preview(config: SubjectConfig, path: Path) -> None:
     """One picture of one frame under one light."""
     cast = build_cast(config.seed, texels=_texels(config.preview_size))
-    performance = perform(cast.template.expression_names, train=config.train, test=config.test, seed=config.seed)
+    performance = perform(
+        cast.template.expression_names, train=config.train, test=config.test, seed=config.seed
+    )
     studio = Studio(cast, size=config.preview_size, effort=PREVIEW_EFFORT)
-    picture = studio.take(studio.pose(performance.frame(config.frame)), Light(config.light).tables, seed=config.seed)
+    picture = studio.take(
+        studio.pose(performance.frame(config.frame)), Light(config.light).tables, seed=config.seed
+    )
     write_png(path, developed(picture))
 
 
 def _texels(size: int) -> int:
     """Width and height of the maps for pictures of a size: as many a pixel as the built-in subject has.
 
-    At most at twice its width, though: painting takes half a minute and more than 2 GB there, and four times that at the next step.
+    At most at twice its width, though: painting takes half a minute and more than 2 GB there, and four times
+    that at the next step.
     """
     return TEXELS * min(max(size // SIZE, 1), 2)
 

@@ -1,4 +1,5 @@
-"""Make one picture of an avatar: a frame as captured, its albedo and normals, and the frame under other lights, each light behind the head.
+"""Make one picture of an avatar: a frame as captured, its albedo and normals, and the frame under other
+lights, each light behind the head.
 
 usage: python tools/overview.py --avatar DIR --env FILE.hdr ... --out FILE.png [--frame N] [--resolution N]
 """
@@ -12,16 +13,18 @@ from pathlib import Path
 import torch
 
 from samira_warp.avatar import Avatar, read_frames
-from samira_warp.cli import run
-from samira_warp.errors import UserError
-from samira_warp.images import write_png
+from samira_warp.io.images import write_png
 from samira_warp.light import Environment, encode_srgb
 from samira_warp.render.layers import layer_image
+from samira_warp.support.cli import run
+from samira_warp.support.errors import UserError
 
 
 @dataclass(frozen=True)
 class OverviewConfig:
-    """Make one picture of an avatar: a frame as captured, its albedo and normals, and the frame under other lights."""
+    """Make one picture of an avatar: a frame as captured, its albedo and normals, and the frame under other
+    lights.
+    """
 
     avatar: Path
     """Avatar folder, or the run folder that it is in."""

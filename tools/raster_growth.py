@@ -1,4 +1,5 @@
-"""Measure how the rasteriser's time grows with Gaussians, pixels, channels and culled Gaussians: a table, and a plot.
+"""Measure how the rasteriser's time grows with Gaussians, pixels, channels and culled Gaussians: a table, and
+a plot.
 
 usage: python tools/raster_growth.py --out FILE.png [--device auto|cpu|cuda]
 """
@@ -17,13 +18,14 @@ from matplotlib.figure import Figure
 from samira_warp.bench.raster import StageTimes, stage_times
 from samira_warp.bench.scene import Scene, make_scene
 from samira_warp.bench.timing import hardware
-from samira_warp.cli import run
-from samira_warp.constants import ALPHA_MIN
-from samira_warp.devices import DeviceName, pick_device
-from samira_warp.errors import UserError
+from samira_warp.support.cli import run
+from samira_warp.support.constants import ALPHA_MIN
+from samira_warp.support.devices import DeviceName, pick_device
+from samira_warp.support.errors import UserError
 
 TRANSLUCENT = 0.1
-"""Factor on the scene's opacities, so that pixels see all their Gaussians instead of stopping when they are full."""
+"""Factor on the scene's opacities, so that pixels see all their Gaussians instead of stopping when they are
+full."""
 
 FAINT = 0.5 * ALPHA_MIN
 """The same for Gaussians that are too faint for a pixel of 8 bits."""
@@ -55,14 +57,14 @@ AXES = {
     "culled": "culled Gaussians, besides 50,000 that are seen",
 }
 
-HEADER = (
-    "| varies | Gaussians | culled | size | channels | intersections | prepare ms | forward ms | backward ms | forward ns/intersection |"
-)
+HEADER = "| varies | Gaussians | culled | size | channels | intersections | prepare ms | forward ms | backward ms | forward ns/intersection |"
 
 
 @dataclass(frozen=True)
 class GrowthConfig:
-    """Measure how the rasteriser's time grows with Gaussians, pixels, channels and culled Gaussians: a table, and a plot."""
+    """Measure how the rasteriser's time grows with Gaussians, pixels, channels and culled Gaussians: a table,
+    and a plot.
+    """
 
     out: Path
     """The .png file to write; the table goes to standard output, as Markdown."""
@@ -73,7 +75,9 @@ class GrowthConfig:
 def main(config: GrowthConfig) -> None:
     """Measure, print and plot."""
     if config.out.suffix != ".png":
-        raise UserError(config.out, expected="a file name ending in .png", found=config.out.suffix or "no suffix")
+        raise UserError(
+            config.out, expected="a file name ending in .png", found=config.out.suffix or "no suffix"
+        )
     if not config.out.parent.is_dir():
         raise UserError(config.out.parent, expected="an existing folder", found="no such folder")
     device = torch.device(pick_device(config.device))
@@ -86,7 +90,9 @@ def main(config: GrowthConfig) -> None:
         for point, times in _measure(points, device):
             measured[name].append(times)
             milliseconds = " | ".join(f"{getattr(times, stage):.3g}" for stage in STAGES)
-            print(f"| {name} | {' | '.join(map(str, point))} | {times.intersections} | {milliseconds} | {_per_intersection(times):.3g} |")
+            print(
+                f"| {name} | {' | '.join(map(str, point))} | {times.intersections} | {milliseconds} | {_per_intersection(times):.3g} |"
+            )
     _plot(measured, hardware(device)).savefig(config.out, dpi=120)
 
 
@@ -96,7 +102,9 @@ def _measure(points: list[Point], device: torch.device) -> Iterator[tuple[Point,
 
 
 def _scene(point: Point, device: torch.device) -> Scene:
-    """The benchmark's scene, translucent; mixed into it, as many behind the camera as beside the image and as are too faint to see."""
+    """The benchmark's scene, translucent; mixed into it, as many behind the camera as beside the image and as
+    are too faint to see.
+    """
     scene = make_scene(point.gaussians + point.culled, point.size, device)
     shuffle = torch.randperm(len(scene.means), generator=torch.Generator().manual_seed(1))
     behind, beside, faint = (chosen.to(device) for chosen in shuffle[: point.culled].tensor_split(3))
@@ -123,7 +131,9 @@ def _plot(measured: dict[str, list[StageTimes]], title: str) -> Figure:
             axes.plot(x, [getattr(one, stage) for one in times], marker="o", label=stage)
         if name in ("gaussians", "size"):
             scale = times[-1].forward / times[-1].intersections
-            axes.plot(x, [scale * one.intersections for one in times], "k:", label="proportional to intersections")
+            axes.plot(
+                x, [scale * one.intersections for one in times], "k:", label="proportional to intersections"
+            )
         if name == "culled":
             axes.set_ylim(bottom=0.0)
         else:

@@ -1,9 +1,11 @@
-"""Tell what tracking noise costs an avatar: render test frames with the tracker's and with the true parameters, and score both.
+"""Tell what tracking noise costs an avatar: render test frames with the tracker's and with the true
+parameters, and score both.
 
 usage: python tools/tracking_noise.py --avatar DIR --data DIR [--every N]
 
-The dataset brings gt/exact_parameters.npz (what its frames were rendered with) and gt/parse. One row for the tracker's parameters, one with
-the true rigid motion (translation, rotation, neck), one with everything true: what is left in the last row is the avatar's own error.
+The dataset brings gt/exact_parameters.npz (what its frames were rendered with) and gt/parse. One row for the
+tracker's parameters, one with the true rigid motion (translation, rotation, neck), one with everything true:
+what is left in the last row is the avatar's own error.
 """
 
 from __future__ import annotations
@@ -17,11 +19,11 @@ import numpy as np
 import torch
 
 from samira_warp.avatar import Avatar
-from samira_warp.cli import run
 from samira_warp.data import Frame, Sequence, load_pixels, open_sequence
 from samira_warp.evaluate import ImagePair, evaluate_images
 from samira_warp.evaluate.folders import read_region_names
-from samira_warp.images import read_labels, resize_nearest
+from samira_warp.io.images import read_labels, resize_nearest
+from samira_warp.support.cli import run
 
 RIGID = {"translation": "translation", "rotation": "rotation", "neck": "neck_pose"}
 ALL = {**RIGID, "eyes": "eyes_pose", "expression": "expr"}
@@ -48,23 +50,43 @@ def main(config: NoiseConfig) -> None:
     avatar, sequence = Avatar.load(config.avatar), open_sequence(config.data)
     names = read_region_names(config.data / "gt" / "parse")
     truth = dict(np.load(config.data / "gt" / "exact_parameters.npz"))
-    print("| parameters | PSNR | foreground | " + " | ".join(names.values()) + " |\n|" + "---|" * (3 + len(names)))
+    print(
+        "| parameters | PSNR | foreground | "
+        + " | ".join(names.values())
+        + " |\n|"
+        + "---|" * (3 + len(names))
+    )
     for title, replaced in (("the tracker's", {}), ("true rigid motion", RIGID), ("all true", ALL)):
         pairs = _pairs(config, avatar, sequence, {field: truth[key] for field, key in replaced.items()})
         scores = evaluate_images(pairs, region_names=names, protocol={})
-        values = [scores["psnr"], scores["psnr_foreground"], *(scores["regions"][name]["psnr"] for name in names.values())]
+        values = [
+            scores["psnr"],
+            scores["psnr_foreground"],
+            *(scores["regions"][name]["psnr"] for name in names.values()),
+        ]
         print(f"| {title} | " + " | ".join(f"{value:.2f}" for value in values) + " |")
 
 
-def _pairs(config: NoiseConfig, avatar: Avatar, sequence: Sequence, truth: dict[str, np.ndarray]) -> Iterator[ImagePair]:
+def _pairs(
+    config: NoiseConfig, avatar: Avatar, sequence: Sequence, truth: dict[str, np.ndarray]
+) -> Iterator[ImagePair]:
     light, size = avatar.light(), {"width": config.resolution, "height": config.resolution}
     for index in sequence.test[:: config.every]:
         frame: Frame = sequence.frames[index]
-        exact = {field: torch.tensor(values[frame.timestep], dtype=torch.float32) for field, values in truth.items()}
+        exact = {
+            field: torch.tensor(values[frame.timestep], dtype=torch.float32)
+            for field, values in truth.items()
+        }
         rendering = avatar.render(replace(frame.parameters, **exact), frame.camera.resized(**size), light)
         pixels = load_pixels(frame, **size)
         labels = resize_nearest(read_labels(config.data / "gt" / "parse" / f"{frame.name}.png"), **size)
-        yield ImagePair(frame.name, rendering.image.clamp(0.0, 1.0), pixels.image, mask=pixels.mask, labels=torch.from_numpy(labels))
+        yield ImagePair(
+            frame.name,
+            rendering.image.clamp(0.0, 1.0),
+            pixels.image,
+            mask=pixels.mask,
+            labels=torch.from_numpy(labels),
+        )
 
 
 if __name__ == "__main__":

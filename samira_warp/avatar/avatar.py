@@ -1,4 +1,6 @@
-"""The avatar: one head's Gaussians, motion, materials and light, and the way from head parameters to an image."""
+"""The avatar: one head's Gaussians, motion, materials and light, and the way from head parameters to an
+image.
+"""
 
 from __future__ import annotations
 
@@ -16,16 +18,31 @@ from samira_warp.avatar.gaussians import Gaussians
 from samira_warp.avatar.gbuffer import GBuffer, SurfaceAttributes, render_gbuffer
 from samira_warp.avatar.residual import axis_angle_to_quaternion, limit_residual, quaternion_product
 from samira_warp.avatar.response import response_factors, response_map
-from samira_warp.avatar.storage import DESCRIPTION_FILE, TENSORS_FILE, StoredAvatar, find_avatar, read_avatar, write_avatar
-from samira_warp.camera import Camera
-from samira_warp.errors import UserError
+from samira_warp.avatar.storage import (
+    DESCRIPTION_FILE,
+    TENSORS_FILE,
+    StoredAvatar,
+    find_avatar,
+    read_avatar,
+    write_avatar,
+)
+from samira_warp.geometry.camera import Camera
 from samira_warp.head import REGIONS, FrameParameters, PosedHead, UvAtlas
-from samira_warp.kernels.binding import BoundGaussians, FaceBinding, bind
-from samira_warp.kernels.gather import GatherTable, bilinear_table, gather
-from samira_warp.kernels.triangle_frames import triangle_frames
-from samira_warp.light import ColorSpace, Environment, FilteredLight, LearnableLight, Shaded, shade, to_display
+from samira_warp.kernels.gathering.gather import GatherTable, bilinear_table, gather
+from samira_warp.kernels.mesh.binding import BoundGaussians, FaceBinding, bind
+from samira_warp.kernels.mesh.triangle_frames import triangle_frames
+from samira_warp.light import (
+    ColorSpace,
+    Environment,
+    FilteredLight,
+    LearnableLight,
+    Shaded,
+    shade,
+    to_display,
+)
 from samira_warp.light.equirect import turn_directions
 from samira_warp.nets import Conditions, ConditionStatistics, MotionNetwork, MotionSettings
+from samira_warp.support.errors import UserError
 
 DISPLACEMENT_UNIT = 0.01
 """Metres; expressions move the skin by a few millimetres, so D_uv in this unit is about one."""
@@ -43,7 +60,8 @@ class AvatarSettings:
         motion: Sizes and variants of the motion network.
         residual: Refine mesh binding by the motion network (Eq. final_motion).
         response: Learn semantic response factors; False keeps tau = 1.
-        displacement_frame: "head" removes the neck joint's motion from D_uv; "world" is the literal Eq. uv_displacement.
+        displacement_frame: "head" removes the neck joint's motion from D_uv; "world" is the literal Eq.
+            uv_displacement.
         residual_frame: Axes of the residual: "world" is Eq. final_motion; "head" turns with the neck joint.
         color_space: "srgb" shades in linear light and encodes; "raw" shades in image values.
         tied_light: The learned light is one map for diffuse and specular light, instead of two.
@@ -154,7 +172,9 @@ class Avatar(nn.Module):
         return self
 
     def move(self, parameters: FrameParameters) -> Motion:
-        """Mesh binding (Eq. lbs) refined by the semantic-adaptive residual (Eqs. uv_displacement to final_motion)."""
+        """Mesh binding (Eq. lbs) refined by the semantic-adaptive residual (Eqs. uv_displacement to
+        final_motion).
+        """
         head = self.canonical.pose(parameters)
         frames = triangle_frames(head.vertices, self.canonical.topology)
         g = self.gaussians
@@ -162,7 +182,10 @@ class Avatar(nn.Module):
         if not self.settings.residual:
             nothing = torch.zeros_like(self.canonical.positions)
             return Motion(head, bound, nothing, nothing)
-        displacement = self.canonical.displacement(head, in_head=self.settings.displacement_frame == "head") / DISPLACEMENT_UNIT
+        displacement = (
+            self.canonical.displacement(head, in_head=self.settings.displacement_frame == "head")
+            / DISPLACEMENT_UNIT
+        )
         residual = self.motion(displacement.permute(2, 0, 1), self.statistics(conditions_of(parameters)))
         residual = self.canonical.atlas.dilate(residual.permute(1, 2, 0))
         sampled = gather(residual.reshape(-1, residual.shape[-1]), self.uv_samples)
@@ -177,7 +200,9 @@ class Avatar(nn.Module):
         return Motion(head, refined, *limit_residual(residual))
 
     def surface(self, motion: Motion, *, edits: Sequence[MaterialEdit] = ()) -> SurfaceAttributes:
-        """Materials, world-space normals and sampled response factors of every Gaussian, the materials changed by ``edits``."""
+        """Materials, world-space normals and sampled response factors of every Gaussian, the materials
+        changed by ``edits``.
+        """
         g = self.gaussians
         if self.settings.response:
             factors = response_map(response_factors(self.response_logits), self.canonical.atlas.soft_masks)
@@ -185,13 +210,17 @@ class Avatar(nn.Module):
         else:
             response = torch.ones(len(g), 2, device=g.means.device)
         diffuse, specular = response.split(1, dim=1)
-        surface = SurfaceAttributes(g.albedo, motion.gaussians.normals, g.roughness[:, None], g.specular[:, None], diffuse, specular)
+        surface = SurfaceAttributes(
+            g.albedo, motion.gaussians.normals, g.roughness[:, None], g.specular[:, None], diffuse, specular
+        )
         if not edits:
             return surface
         return edit_materials(surface, edits, self.region_weights(), color_space=self.settings.color_space)
 
     def region_weights(self) -> torch.Tensor:
-        """(N, K) shares of the regions in each Gaussian; they sum to 1 where its surface is in some mask of the template, else to 0."""
+        """(N, K) shares of the regions in each Gaussian; they sum to 1 where its surface is in some mask of
+        the template, else to 0.
+        """
         soft_masks = self.canonical.atlas.soft_masks
         return gather(soft_masks.flatten(1).T.contiguous(), self.uv_samples)
 
@@ -199,7 +228,9 @@ class Avatar(nn.Module):
         """The G-buffer of moved Gaussians, their materials changed by ``edits``."""
         moved = motion.gaussians
         surface = self.surface(motion, edits=edits)
-        return render_gbuffer(moved.means, moved.quaternions, moved.scales, self.gaussians.opacities, surface, camera)
+        return render_gbuffer(
+            moved.means, moved.quaternions, moved.scales, self.gaussians.opacities, surface, camera
+        )
 
     def render(
         self,
@@ -217,8 +248,8 @@ class Avatar(nn.Module):
         Args:
             parameters: The head's pose and expression, on any device.
             camera: The view, on any device.
-            environment: The light, on any device; None is the learned capture light. To reuse an environment, filter it once
-                (`Environment.filtered`).
+            environment: The light, on any device; None is the learned capture light. To reuse an environment,
+                filter it once (`Environment.filtered`).
             rotate: Degrees by which the light is turned about the vertical, as `Environment.load` does it.
             background: Display values behind the head: a number or (H, W, 3).
             exposure: Factor on the shaded linear colour.
@@ -230,7 +261,9 @@ class Avatar(nn.Module):
         gbuffer = self.rasterize(motion, camera, edits=edits)
         light = environment.filtered() if isinstance(environment, Environment) else environment
         light = self.light() if light is None else light.to(device)
-        return self.shade(motion, gbuffer, camera, light, rotate=rotate, background=background, exposure=exposure)
+        return self.shade(
+            motion, gbuffer, camera, light, rotate=rotate, background=background, exposure=exposure
+        )
 
     def shade(
         self,
@@ -243,17 +276,24 @@ class Avatar(nn.Module):
         background: torch.Tensor | float = 1.0,
         exposure: float = 1.0,
     ) -> Rendering:
-        """Deferred shading and compositing of a G-buffer (Eqs. response_shading to alpha_compose); the other arguments as for `render`."""
+        """Deferred shading and compositing of a G-buffer (Eqs. response_shading to alpha_compose); the other
+        arguments as for `render`.
+        """
         display = {"background": background, "exposure": exposure, "color_space": self.settings.color_space}
         shaded = _shade_pixels(gbuffer, camera, light, rotate=rotate, **display)
-        return Rendering(shaded.image, gbuffer, shaded.irradiance, shaded.specular_light, motion, self.settings.color_space)
+        return Rendering(
+            shaded.image, gbuffer, shaded.irradiance, shaded.specular_light, motion, self.settings.color_space
+        )
 
     def display(self, values: torch.Tensor) -> torch.Tensor:
-        """Albedo or radiance as a picture: sRGB-encoded where shading is linear, as it is where shading works in image values."""
+        """Albedo or radiance as a picture: sRGB-encoded where shading is linear, as it is where shading works
+        in image values.
+        """
         return to_display(values, color_space=self.settings.color_space)
 
     def save(self, folder: Path, *, record: dict[str, Any]) -> None:
-        """Write the avatar's files into an existing folder: all that rendering needs, no pickle, and its learned light as two maps.
+        """Write the avatar's files into an existing folder: all that rendering needs, no pickle, and its
+        learned light as two maps.
 
         Args:
             folder: Where.
@@ -280,22 +320,31 @@ class Avatar(nn.Module):
             return cls._from_stored(stored).to(device)
         except (KeyError, TypeError, RuntimeError) as error:
             misfit = str(error).splitlines()[-1].strip()
-            raise UserError(folder / TENSORS_FILE, expected=f"tensors as {DESCRIPTION_FILE} describes them", found=misfit) from error
+            raise UserError(
+                folder / TENSORS_FILE, expected=f"tensors as {DESCRIPTION_FILE} describes them", found=misfit
+            ) from error
 
     @classmethod
     def _from_stored(cls, stored: StoredAvatar) -> Avatar:
         """The avatar on the CPU; a description or tensors that do not fit raise whatever they raise."""
-        settings = AvatarSettings(**{**stored.settings, "motion": MotionSettings(**stored.settings["motion"])})
+        settings = AvatarSettings(
+            **{**stored.settings, "motion": MotionSettings(**stored.settings["motion"])}
+        )
         tensors = dict(stored.tensors)
         canonical = CanonicalHead.build(
-            stored.template, shape=tensors.pop("shape"), static_offset=tensors.pop("static_offset", None), uv_size=settings.uv_size
+            stored.template,
+            shape=tensors.pop("shape"),
+            static_offset=tensors.pop("static_offset", None),
+            uv_size=settings.uv_size,
         )
         prefix = "motion.image_features_"
         levels = sorted(name for name in tensors if name.startswith(prefix))
         avatar = cls(
             canonical,
             settings,
-            gaussians=Gaussians({name: tensors[f"gaussians.{name}"] for name in (*Gaussians.PARAMETERS, *Gaussians.CONSTANTS)}),
+            gaussians=Gaussians(
+                {name: tensors[f"gaussians.{name}"] for name in (*Gaussians.PARAMETERS, *Gaussians.CONSTANTS)}
+            ),
             image_features=[tensors[name] for name in levels],
             statistics=ConditionStatistics(expression_size=stored.template.n_expression, pose_size=POSE_SIZE),
             light=LearnableLight(torch.ones(3), tied=settings.tied_light),
@@ -305,13 +354,19 @@ class Avatar(nn.Module):
 
 
 def _check_settings(folder: Path, settings: dict[str, Any]) -> None:
-    """Raise UserError unless every setting is there: a default for one that is missing would be another avatar."""
+    """Raise UserError unless every setting is there: a default for one that is missing would be another
+    avatar.
+    """
     for kind, values in ((AvatarSettings, settings), (MotionSettings, settings.get("motion"))):
         expected = {setting.name for setting in fields(kind)}
         found = set(values) if isinstance(values, dict) else set()
         if found != expected:
             differing = ", ".join(sorted(found ^ expected))
-            raise UserError(folder / DESCRIPTION_FILE, expected="an avatar's settings", found=f"others or none: {differing}")
+            raise UserError(
+                folder / DESCRIPTION_FILE,
+                expected="an avatar's settings",
+                found=f"others or none: {differing}",
+            )
 
 
 def conditions_of(parameters: FrameParameters) -> Conditions:
@@ -344,7 +399,9 @@ def _shade_pixels(
 
 
 def _to_unit_cube(positions: torch.Tensor, valid: torch.Tensor) -> torch.Tensor:
-    """Scale an (H, W, 3) position map so that its (H, W) valid texels fill [-1, 1] about their centre; the others become 0."""
+    """Scale an (H, W, 3) position map so that its (H, W) valid texels fill [-1, 1] about their centre; the
+    others become 0.
+    """
     low, high = positions[valid].amin(dim=0), positions[valid].amax(dim=0)
     return valid[..., None] * (2.0 * (positions - 0.5 * (low + high)) / (high - low).max())
 

@@ -8,7 +8,7 @@ import torch
 
 from samira_warp.head import FrameParameters, HeadModel, HeadTemplate, PosedHead, UvAtlas
 from samira_warp.head.model import NECK
-from samira_warp.kernels.triangle_frames import MeshTopology
+from samira_warp.kernels.mesh.triangle_frames import MeshTopology
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,7 +36,9 @@ class CanonicalHead:
     positions: torch.Tensor
 
     @classmethod
-    def build(cls, template: HeadTemplate, *, shape: torch.Tensor, static_offset: torch.Tensor | None, uv_size: int) -> CanonicalHead:
+    def build(
+        cls, template: HeadTemplate, *, shape: torch.Tensor, static_offset: torch.Tensor | None, uv_size: int
+    ) -> CanonicalHead:
         """Set up a subject's head.
 
         Args:
@@ -49,16 +51,22 @@ class CanonicalHead:
         atlas = UvAtlas.build(template, size=uv_size)
         topology = MeshTopology.build(torch.from_numpy(template.faces), len(template.v_template))
         vertices = model.vertices(replace(model.rest(), static_offset=static_offset), shape).vertices
-        return cls(template, model, topology, atlas, shape, static_offset, vertices, atlas.positions(vertices))
+        return cls(
+            template, model, topology, atlas, shape, static_offset, vertices, atlas.positions(vertices)
+        )
 
     def to(self, device: torch.device | str) -> CanonicalHead:
         """The same head on ``device``."""
         movable = ("model", "topology", "atlas", "shape", "vertices", "positions")
         moved = {name: getattr(self, name).to(device) for name in movable}
-        return replace(self, **moved, static_offset=None if self.static_offset is None else self.static_offset.to(device))
+        return replace(
+            self, **moved, static_offset=None if self.static_offset is None else self.static_offset.to(device)
+        )
 
     def pose(self, parameters: FrameParameters) -> PosedHead:
-        """The posed mesh M_t, with the subject's own shape and static offset, whatever offset the parameters came with."""
+        """The posed mesh M_t, with the subject's own shape and static offset, whatever offset the parameters
+        came with.
+        """
         return self.model.vertices(replace(parameters, static_offset=self.static_offset), self.shape)
 
     def displacement(self, head: PosedHead, *, in_head: bool) -> torch.Tensor:
@@ -66,7 +74,8 @@ class CanonicalHead:
 
         Args:
             head: The posed mesh.
-            in_head: Undo the neck joint's motion first, so that what is left is expression; False is the equation as written.
+            in_head: Undo the neck joint's motion first, so that what is left is expression; False is the
+                equation as written.
         """
         vertices = head.in_head_frame() if in_head else head.vertices
         return self.atlas.positions(vertices - self.vertices)

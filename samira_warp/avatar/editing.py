@@ -11,9 +11,9 @@ from typing import NamedTuple
 import torch
 
 from samira_warp.avatar.gbuffer import SurfaceAttributes
-from samira_warp.errors import UserError
 from samira_warp.head import REGIONS
 from samira_warp.light import ColorSpace, decode_srgb
+from samira_warp.support.errors import UserError
 
 
 class Change(NamedTuple):
@@ -35,9 +35,10 @@ class MaterialEdit:
     Attributes:
         roughness: "x0.5" multiplies, "0.3" sets, 0 to 1.
         specular: Reflectance at normal incidence, likewise; skin's is about 0.035.
-        albedo: "x1.2" multiplies, "1.3,0.9,0.9" multiplies red, green and blue, "#c08060" paints with a colour.
-        regions: Names out of `samira_warp.head.REGIONS`; none is everywhere. An edit fades over a region's border as its response to light
-            does.
+        albedo: "x1.2" multiplies, "1.3,0.9,0.9" multiplies red, green and blue, "#c08060" paints with a
+            colour.
+        regions: Names out of `samira_warp.head.REGIONS`; none is everywhere. An edit fades over a region's
+            border as its response to light does.
 
     Raises:
         UserError: A change is not of that form, or a region has another name.
@@ -57,23 +58,37 @@ class MaterialEdit:
     def changes(self) -> dict[str, Change]:
         """The changes by material, those that are None left out."""
         parsers = {"roughness": _parse_scalar, "specular": _parse_scalar, "albedo": _parse_albedo}
-        return {name: parse(name, text) for name, parse in parsers.items() if (text := getattr(self, name)) is not None}
+        return {
+            name: parse(name, text)
+            for name, parse in parsers.items()
+            if (text := getattr(self, name)) is not None
+        }
 
 
 def edit_materials(
-    surface: SurfaceAttributes, edits: Sequence[MaterialEdit], region_weights: torch.Tensor, *, color_space: ColorSpace
+    surface: SurfaceAttributes,
+    edits: Sequence[MaterialEdit],
+    region_weights: torch.Tensor,
+    *,
+    color_space: ColorSpace,
 ) -> SurfaceAttributes:
-    """Apply edits one after the other; results are clamped to 0..1, so no surface reflects more light than meets it.
+    """Apply edits one after the other; results are clamped to 0..1, so no surface reflects more light than
+    meets it.
 
     Args:
         surface: Materials of N Gaussians.
         edits: What to change.
         region_weights: (N, K) shares of the regions in each Gaussian, 0 to 1.
-        color_space: What albedo is in: "srgb" decodes a colour's display values, "raw" takes them as they are.
+        color_space: What albedo is in: "srgb" decodes a colour's display values, "raw" takes them as they
+            are.
     """
     for edit in edits:
         chosen = sorted({REGIONS.index(region) for region in edit.regions})
-        weight = region_weights[:, chosen].sum(dim=1, keepdim=True).clamp(max=1.0) if chosen else torch.ones_like(region_weights[:, :1])
+        weight = (
+            region_weights[:, chosen].sum(dim=1, keepdim=True).clamp(max=1.0)
+            if chosen
+            else torch.ones_like(region_weights[:, :1])
+        )
         for name, change in edit.changes().items():
             before = getattr(surface, name)
             factor, offset = before.new_tensor(change.factor), before.new_tensor(change.offset)

@@ -9,15 +9,16 @@ import torch
 from safetensors import SafetensorError, safe_open
 
 from samira_warp.avatar.storage import find_avatar
-from samira_warp.camera import Camera
-from samira_warp.errors import UserError
-from samira_warp.files import save_tensors
+from samira_warp.geometry.camera import Camera
 from samira_warp.head import FrameParameters
+from samira_warp.io.files import save_tensors
+from samira_warp.support.errors import UserError
 
 FRAMES_FILE = "frames.safetensors"
 
 FIELDS = ("translation", "rotation", "neck", "jaw", "eyes", "expression")
-"""What is stored of every frame's parameters, beside dynamic offsets where any frame has one; the static offset is the avatar's own."""
+"""What is stored of every frame's parameters, beside dynamic offsets where any frame has one; the static
+offset is the avatar's own."""
 
 
 class DrivingFrame(NamedTuple):
@@ -38,16 +39,26 @@ class DrivingFrame(NamedTuple):
 
 def write_frames(folder: Path, frames: list[DrivingFrame]) -> None:
     """Write frames into an existing avatar folder."""
-    tensors = {name: torch.stack([getattr(frame.parameters, name).detach().cpu() for frame in frames]) for name in FIELDS}
+    tensors = {
+        name: torch.stack([getattr(frame.parameters, name).detach().cpu() for frame in frames])
+        for name in FIELDS
+    }
     offsets = [frame.parameters.dynamic_offset for frame in frames]
     known = next((offset.cpu() for offset in offsets if offset is not None), None)
     if known is not None:
-        tensors["dynamic_offset"] = torch.stack([torch.zeros_like(known) if offset is None else offset.cpu() for offset in offsets])
+        tensors["dynamic_offset"] = torch.stack(
+            [torch.zeros_like(known) if offset is None else offset.cpu() for offset in offsets]
+        )
     cameras = [frame.camera for frame in frames]
     tensors["world_to_camera"] = torch.stack([camera.world_to_camera.cpu() for camera in cameras])
-    intrinsics = [[camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height] for camera in cameras]
+    intrinsics = [
+        [camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height] for camera in cameras
+    ]
     tensors["intrinsics"] = torch.tensor(intrinsics, dtype=torch.float64)
-    names = {"names": "\n".join(frame.name for frame in frames), "parts": "\n".join(frame.part for frame in frames)}
+    names = {
+        "names": "\n".join(frame.name for frame in frames),
+        "parts": "\n".join(frame.part for frame in frames),
+    }
     save_tensors(tensors, folder / FRAMES_FILE, metadata=names)
 
 
@@ -63,7 +74,10 @@ def read_frames(folder: str | Path) -> list[DrivingFrame]:
             metadata: dict[str, Any] = file.metadata() or {}
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - no mapping
         names, parts = metadata["names"].split("\n"), metadata["parts"].split("\n")
-        return [_frame(name, part, tensors, row) for row, (name, part) in enumerate(zip(names, parts, strict=True))]
+        return [
+            _frame(name, part, tensors, row)
+            for row, (name, part) in enumerate(zip(names, parts, strict=True))
+        ]
     except (OSError, SafetensorError, KeyError, ValueError, IndexError) as error:
         raise UserError(path, expected="the avatar's frames", found=error) from error
 

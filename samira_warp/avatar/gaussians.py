@@ -1,14 +1,17 @@
-"""The mesh-bound Gaussians: geometry in their triangle's frame, materials, and where each sits in the UV atlas."""
+"""The mesh-bound Gaussians: geometry in their triangle's frame, materials, and where each sits in the UV
+atlas.
+"""
 
 from __future__ import annotations
 
 import torch
 from torch import nn
 
-from samira_warp.constants import ROUGHNESS_MIN
+from samira_warp.support.constants import ROUGHNESS_MIN
 
 SPECULAR_RANGE = (0.02, 0.15)
-"""Reflectance at normal incidence: water is 0.02, skin 0.028 to 0.045, and nothing on a head beyond 0.15 is a dielectric."""
+"""Reflectance at normal incidence: water is 0.02, skin 0.028 to 0.045, and nothing on a head beyond 0.15 is a
+dielectric."""
 
 ROUGHNESS_RANGE = (ROUGHNESS_MIN, 1.0)
 """Eyes glint at the lower end."""
@@ -123,8 +126,12 @@ class Gaussians(nn.Module):
                 "quaternions": identity,
                 "opacity_logits": torch.full((count,), _logit(opacity), device=means.device),
                 "albedo_logits": torch.logit(albedo.clamp(0.01, 0.99)),
-                "roughness_logits": torch.full((count,), _range_logit(INITIAL_ROUGHNESS, ROUGHNESS_RANGE), device=means.device),
-                "specular_logits": torch.full((count,), _range_logit(INITIAL_SPECULAR, SPECULAR_RANGE), device=means.device),
+                "roughness_logits": torch.full(
+                    (count,), _range_logit(INITIAL_ROUGHNESS, ROUGHNESS_RANGE), device=means.device
+                ),
+                "specular_logits": torch.full(
+                    (count,), _range_logit(INITIAL_SPECULAR, SPECULAR_RANGE), device=means.device
+                ),
                 "normals": normals.clone(),
                 "initial_normals": normals,
                 "faces": faces,

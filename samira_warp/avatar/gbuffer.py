@@ -7,13 +7,14 @@ from typing import NamedTuple
 
 import torch
 
-from samira_warp.camera import Camera
-from samira_warp.constants import COVERED_ALPHA
-from samira_warp.kernels.rasterizer import rasterize
+from samira_warp.geometry.camera import Camera
+from samira_warp.kernels.raster.rasterizer import rasterize
+from samira_warp.support.constants import COVERED_ALPHA
 
 
 class SurfaceAttributes(NamedTuple):
-    """What each Gaussian contributes to the G-buffer besides its depth; the order is the order of the blended channels.
+    """What each Gaussian contributes to the G-buffer besides its depth; the order is the order of the blended
+    channels.
 
     Attributes:
         albedo: (N, 3) linear.
@@ -100,6 +101,8 @@ def render_gbuffer(
     alpha = blended.alpha[..., None]
     straight = blended.features / alpha.clamp(min=COVERED_ALPHA)
     widths = [attribute.shape[1] for attribute in attributes]
-    channels = dict(zip((*SurfaceAttributes._fields, "depth"), straight.split([*widths, 1], dim=-1), strict=True))
+    channels = dict(
+        zip((*SurfaceAttributes._fields, "depth"), straight.split([*widths, 1], dim=-1), strict=True)
+    )
     channels["normal"] = torch.nn.functional.normalize(channels["normal"], dim=-1)
     return GBuffer(**channels, alpha=alpha, screen=ScreenGaussians(blended.means2d, blended.visible))

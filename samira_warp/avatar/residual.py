@@ -8,7 +8,8 @@ POSITION_LIMIT = 0.02
 """Metres, s_mu: more than tracking is wrong by, less than a lip's width."""
 
 SMALL_ANGLE = 1e-4
-"""Radians; below it the half-angle sine is taken from its series, so that value and gradient exist at zero."""
+"""Radians; below it the half-angle sine is taken from its series, so that value and gradient exist at
+zero."""
 
 
 def limit_residual(residual: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
@@ -39,6 +40,11 @@ def quaternion_product(left: torch.Tensor, right: torch.Tensor) -> torch.Tensor:
     a, b, c, d = left.unbind(-1)
     w, x, y, z = right.unbind(-1)
     return torch.stack(
-        [a * w - b * x - c * y - d * z, a * x + b * w + c * z - d * y, a * y - b * z + c * w + d * x, a * z + b * y - c * x + d * w],
+        [
+            a * w - b * x - c * y - d * z,
+            a * x + b * w + c * z - d * y,
+            a * y - b * z + c * w + d * x,
+            a * z + b * y - c * x + d * w,
+        ],
         dim=-1,
     )

@@ -1,4 +1,6 @@
-"""Semantic illumination response: compact factors per region, spread over the UV domain (Eqs. region_response, uv_response_map)."""
+"""Semantic illumination response: compact factors per region, spread over the UV domain (Eqs.
+region_response, uv_response_map).
+"""
 
 from __future__ import annotations
 
@@ -9,15 +11,18 @@ COVERAGE_EPSILON = 1e-6
 
 
 def response_factors(logits: torch.Tensor) -> torch.Tensor:
-    """tau_k = 0.5 + sigmoid(l_k), (K, 2) diffuse and specular, each in 0.5..1.5; logits of zero are neutral."""
+    """tau_k = 0.5 + sigmoid(l_k), (K, 2) diffuse and specular, each in 0.5..1.5; logits of zero are
+    neutral.
+    """
     return 0.5 + torch.sigmoid(logits)
 
 
 def response_map(factors: torch.Tensor, soft_masks: torch.Tensor) -> torch.Tensor:
     """The dense response map T^uv.
 
-    The weighted mean is written as 1 + sum S_k (tau_k - 1) / (sum S_k + epsilon): the paper's ratio but for its epsilon, which then
-    pulls towards neutral instead of towards zero, so a texel that no mask covers is exactly neutral without a rule of its own.
+    The weighted mean is written as 1 + sum S_k (tau_k - 1) / (sum S_k + epsilon): the paper's ratio but for
+    its epsilon, which then pulls towards neutral instead of towards zero, so a texel that no mask covers is
+    exactly neutral without a rule of its own.
 
     Args:
         factors: (K, 2) tau_k.

@@ -1,4 +1,6 @@
-"""An avatar on disk: settings in JSON, tensors in safetensors, the head template beside them; no pickle anywhere."""
+"""An avatar on disk: settings in JSON, tensors in safetensors, the head template beside them; no pickle
+anywhere.
+"""
 
 from __future__ import annotations
 
@@ -11,9 +13,9 @@ import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file
 
-from samira_warp.errors import UserError
-from samira_warp.files import read_json, save_tensors
 from samira_warp.head import HeadTemplate, read_template, save_template
+from samira_warp.io.files import read_json, save_tensors
+from samira_warp.support.errors import UserError
 
 FORMAT = 2
 """Version of the folder's layout."""
@@ -42,7 +44,14 @@ class StoredAvatar(NamedTuple):
     template: HeadTemplate
 
 
-def write_avatar(folder: Path, *, settings: Any, record: dict[str, Any], tensors: dict[str, torch.Tensor], template: HeadTemplate) -> None:
+def write_avatar(
+    folder: Path,
+    *,
+    settings: Any,
+    record: dict[str, Any],
+    tensors: dict[str, torch.Tensor],
+    template: HeadTemplate,
+) -> None:
     """Write the files of an avatar into an existing folder.
 
     Args:
@@ -52,7 +61,11 @@ def write_avatar(folder: Path, *, settings: Any, record: dict[str, Any], tensors
         tensors: State by name.
         template: The head model.
     """
-    description = {"format": FORMAT, "settings": asdict(settings), "record": {**record, "template": template.hash}}
+    description = {
+        "format": FORMAT,
+        "settings": asdict(settings),
+        "record": {**record, "template": template.hash},
+    }
     (folder / DESCRIPTION_FILE).write_text(json.dumps(description, indent=1), encoding="utf-8")
     save_tensors(tensors, folder / TENSORS_FILE)
     save_template(template, folder / TEMPLATE_FILE)
@@ -67,7 +80,9 @@ def find_avatar(folder: Path) -> Path:
     for candidate in (folder, folder / "avatar"):
         if (candidate / DESCRIPTION_FILE).is_file():
             return candidate
-    found = "no such folder" if not folder.is_dir() else f"no {DESCRIPTION_FILE} in it or in its avatar folder"
+    found = (
+        "no such folder" if not folder.is_dir() else f"no {DESCRIPTION_FILE} in it or in its avatar folder"
+    )
     raise UserError(folder, expected="an avatar or a finished run", found=found)
 
 
@@ -75,14 +90,23 @@ def read_avatar(folder: Path, *, device: torch.device | str) -> StoredAvatar:
     """Read an avatar folder.
 
     Raises:
-        UserError: A file is missing, broken, or of another format; the template is not the one that the avatar was made with.
+        UserError: A file is missing, broken, or of another format; the template is not the one that the
+            avatar was made with.
     """
     description = read_json(folder / DESCRIPTION_FILE)
     if description.get("format") not in (UNTIED_FORMAT, FORMAT):
-        raise UserError(folder / DESCRIPTION_FILE, expected=f"format {UNTIED_FORMAT} or {FORMAT}", found=description.get("format"))
+        raise UserError(
+            folder / DESCRIPTION_FILE,
+            expected=f"format {UNTIED_FORMAT} or {FORMAT}",
+            found=description.get("format"),
+        )
     for part in ("settings", "record"):
         if not isinstance(description.get(part), dict):
-            raise UserError(folder / DESCRIPTION_FILE, expected=f"an object {part!r}", found=type(description.get(part)).__name__)
+            raise UserError(
+                folder / DESCRIPTION_FILE,
+                expected=f"an object {part!r}",
+                found=type(description.get(part)).__name__,
+            )
     try:
         tensors = load_file(folder / TENSORS_FILE, device=str(device))
     except (OSError, SafetensorError) as error:
@@ -90,7 +114,9 @@ def read_avatar(folder: Path, *, device: torch.device | str) -> StoredAvatar:
     template = read_template(folder / TEMPLATE_FILE)
     recorded = str(description["record"].get("template"))
     if template.hash != recorded:
-        raise UserError(folder / TEMPLATE_FILE, expected=f"the template {recorded[:12]}", found=template.hash[:12])
+        raise UserError(
+            folder / TEMPLATE_FILE, expected=f"the template {recorded[:12]}", found=template.hash[:12]
+        )
     settings = description["settings"]
     if description["format"] == UNTIED_FORMAT:
         settings = {**settings, "tied_light": False}

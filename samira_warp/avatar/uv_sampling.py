@@ -1,17 +1,24 @@
-"""Geometry-based UV sampling (Alg. 1): where in the atlas each Gaussian reads its residual and its response."""
+"""Geometry-based UV sampling (Alg. 1): where in the atlas each Gaussian reads its residual and its
+response.
+"""
 
 from __future__ import annotations
 
 import torch
 
 from samira_warp.head import UvAtlas
-from samira_warp.kernels.barycentric import closest_barycentrics
-from samira_warp.kernels.triangle_frames import MeshTopology, triangle_frames
+from samira_warp.kernels.mesh.barycentric import closest_barycentrics
+from samira_warp.kernels.mesh.triangle_frames import MeshTopology, triangle_frames
 
 
 @torch.no_grad()
 def geometry_uv(
-    means: torch.Tensor, face_ids: torch.Tensor, *, vertices: torch.Tensor, topology: MeshTopology, atlas: UvAtlas
+    means: torch.Tensor,
+    face_ids: torch.Tensor,
+    *,
+    vertices: torch.Tensor,
+    topology: MeshTopology,
+    atlas: UvAtlas,
 ) -> torch.Tensor:
     """UV coordinates u_i of Gaussians bound to a mesh.
 
@@ -27,6 +34,9 @@ def geometry_uv(
     """
     frames = triangle_frames(vertices, topology)
     faces = face_ids.long()
-    points = frames.scale[faces, None] * torch.einsum("nij,nj->ni", frames.rotation[faces], means) + frames.translation[faces]
+    points = (
+        frames.scale[faces, None] * torch.einsum("nij,nj->ni", frames.rotation[faces], means)
+        + frames.translation[faces]
+    )
     triangles = vertices[topology.faces[faces].long()]
     return atlas.uv_of(face_ids, closest_barycentrics(points.contiguous(), triangles.contiguous()))

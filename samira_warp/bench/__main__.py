@@ -10,9 +10,9 @@ from typing import Literal
 
 import tyro
 
-from samira_warp.cli import run
-from samira_warp.devices import DeviceName, pick_device
-from samira_warp.errors import UserError
+from samira_warp.support.cli import run
+from samira_warp.support.devices import DeviceName, pick_device
+from samira_warp.support.errors import UserError
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,8 @@ class BenchConfig:
     """Time a part of the package on this machine."""
 
     what: tyro.conf.Positional[Literal["raster", "light", "avatar", "train"]]
-    """raster: kernels against plain ones or, on a GPU, gsplat; light: filtering; avatar: a frame, train: a step, by stage."""
+    """raster: kernels against plain ones or, on a GPU, gsplat; light: filtering; avatar: a frame, train: a
+    step, by stage."""
     device: DeviceName = "auto"
     """Where to compute."""
     json: bool = False

@@ -12,7 +12,7 @@ import torch
 from samira_warp.avatar import Avatar
 from samira_warp.bench.subject import make_avatar, make_camera, make_parameters
 from samira_warp.bench.timing import Stages, hardware, print_table, repeat
-from samira_warp.camera import Camera
+from samira_warp.geometry.camera import Camera
 from samira_warp.head import FrameParameters
 from samira_warp.light import Environment
 
@@ -49,7 +49,8 @@ SCENARIOS = (
 
 @torch.no_grad()
 def measure(device: torch.device, *, size: int) -> list[dict[str, object]]:
-    """Median milliseconds of a frame of the cpu preset's avatar (20,000 Gaussians), one row for every scenario; 0 for what is cached.
+    """Median milliseconds of a frame of the cpu preset's avatar (20,000 Gaussians), one row for every
+    scenario; 0 for what is cached.
 
     The total is of whole frames, from their parameters on.
     """
@@ -59,8 +60,19 @@ def measure(device: torch.device, *, size: int) -> list[dict[str, object]]:
         stages = Stages(device)
         _frames(scenario, avatar, camera, stages)
         times = stages.medians()
-        row = {"size": size, "gaussians": len(avatar.gaussians), "moves": scenario.moves, "cached": scenario.cached}
-        rows.append({**row, **{f"{stage}_ms": times.get(stage, 0.0) for stage in STAGES}, "frames_per_second": 1e3 / times["total"]})
+        row = {
+            "size": size,
+            "gaussians": len(avatar.gaussians),
+            "moves": scenario.moves,
+            "cached": scenario.cached,
+        }
+        rows.append(
+            {
+                **row,
+                **{f"{stage}_ms": times.get(stage, 0.0) for stage in STAGES},
+                "frames_per_second": 1e3 / times["total"],
+            }
+        )
     return rows
 
 
@@ -75,11 +87,17 @@ def _frames(scenario: Scenario, avatar: Avatar, camera: Camera, stages: Stages) 
 
     def frame() -> None:
         number = next(frames)
-        parameters, view, environment = make_parameters(number).to(device), _turned(camera, number), _dimmed(learned, number)
+        parameters, view, environment = (
+            make_parameters(number).to(device),
+            _turned(camera, number),
+            _dimmed(learned, number),
+        )
         with stages.stage("total"):
             render(parameters, view, environment, exposure=1.0 + 0.01 * number)
 
-    def render(parameters: FrameParameters, view: Camera, environment: Environment, *, exposure: float) -> None:
+    def render(
+        parameters: FrameParameters, view: Camera, environment: Environment, *, exposure: float
+    ) -> None:
         nonlocal light, motion, gbuffer
         if scenario.light:
             with stages.stage("light"):

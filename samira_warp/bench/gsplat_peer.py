@@ -1,4 +1,6 @@
-"""gsplat, where it is installed, on the rasteriser's scene: stage against stage, so that like is compared with like."""
+"""gsplat, where it is installed, on the rasteriser's scene: stage against stage, so that like is compared
+with like.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,8 @@ class GsplatTimes(NamedTuple):
     """Milliseconds of gsplat's stages.
 
     Attributes:
-        prepare: All of ``rasterization`` without gradients, less ``forward``: projection and tile lists, as our own prepare.
+        prepare: All of ``rasterization`` without gradients, less ``forward``: projection and tile lists, as
+            our own prepare.
         forward: ``rasterize_to_pixels`` alone, which is our blending.
         backward: Its adjoint.
     """
@@ -33,7 +36,9 @@ class GsplatTimes(NamedTuple):
 
 
 def gsplat_times(scene: Scene, channels: int) -> GsplatTimes | None:
-    """Time gsplat on a scene on a GPU; None where gsplat is absent, or fails (its first call builds it, with nvcc): stderr says why."""
+    """Time gsplat on a scene on a GPU; None where gsplat is absent, or fails (its first call builds it, with
+    nvcc): stderr says why.
+    """
     try:
         gsplat = _gsplat()
         return None if gsplat is None else _measure(gsplat, scene, channels)
@@ -49,7 +54,9 @@ def _gsplat() -> ModuleType | None:
 
 def _measure(gsplat: ModuleType, scene: Scene, channels: int) -> GsplatTimes:
     camera, device = scene.camera, scene.means.device
-    intrinsics = torch.tensor([[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]], device=device)
+    intrinsics = torch.tensor(
+        [[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]], device=device
+    )
     gaussians = (scene.means, scene.quaternions, scene.scales, scene.opacities, scene.features(channels))
     view = (camera.world_to_camera[None], intrinsics[None], camera.width, camera.height)
 
@@ -70,5 +77,9 @@ def _measure(gsplat: ModuleType, scene: Scene, channels: int) -> GsplatTimes:
     by_features, by_transmittance = scene.image_gradients(channels)
     gradients = (by_features[None], -by_transmittance[None, ..., None])
     forward = least_ms(blend, device, repeats=REPEATS)
-    backward = least_ms(lambda: torch.autograd.grad((image, alpha), leaves, gradients, retain_graph=True), device, repeats=REPEATS)
+    backward = least_ms(
+        lambda: torch.autograd.grad((image, alpha), leaves, gradients, retain_graph=True),
+        device,
+        repeats=REPEATS,
+    )
     return GsplatTimes(least_ms(whole, device, repeats=REPEATS) - forward, forward, backward)

@@ -12,13 +12,13 @@ from torch import Tensor
 
 from samira_warp.bench.light_table import light_table, print_light_table
 from samira_warp.bench.timing import hardware, least_ms
-from samira_warp.kernels.cubemap import texel_directions, texel_solid_angles
-from samira_warp.kernels.cubemap_filter import irradiance, prefilter
+from samira_warp.kernels.cubemap.filter import irradiance, prefilter
+from samira_warp.kernels.cubemap.layout import texel_directions, texel_solid_angles
 from samira_warp.light.environment import Environment
 from samira_warp.light.filtered import ROUGHNESS_STEP, FilteredLight
 from samira_warp.light.learnable import LearnableLight
 from samira_warp.light.shading import shade
-from samira_warp.reference import filtering as reference
+from samira_warp.reference.cubemap import filter as reference
 
 SHADED_PIXELS = 65536
 """A frame of 256 x 256, every pixel covered."""
@@ -36,12 +36,13 @@ CHECKED_TEXELS = 24
 def main(device: str, json: bool, hdri: Path | None = None) -> None:
     """Measure on ``device`` and print a table, or with ``json`` one object.
 
-    Its fields: ``hardware``, ``device`` and ``threads``, what computed; ``furnace_max_error``, over all mips and the irradiance of a
-    uniform light of 1; ``bruteforce_max_error``, over one-hot and random maps, by the peak; ``environment_max_error``, the same of a
-    relighting environment of 256, at some of its texels; ``step_ms``, a training step's filtering, forward and adjoint; ``shade_ms`` and
-    ``shade_adjoint_ms``, of 65,536 pixels under the learned light; ``shade_quarter_ms`` and ``shade_quarter_adjoint_ms``, with three
-    quarters of them uncovered; ``environment_ms``, a file of 1024 x 512 pixels to a filtered environment of 256; ``monte_carlo``, see
-    `bench.light_table`, for the maps in the folder ``hdri``.
+    Its fields: ``hardware``, ``device`` and ``threads``, what computed; ``furnace_max_error``, over all mips
+    and the irradiance of a uniform light of 1; ``bruteforce_max_error``, over one-hot and random maps, by the
+    peak; ``environment_max_error``, the same of a relighting environment of 256, at some of its texels;
+    ``step_ms``, a training step's filtering, forward and adjoint; ``shade_ms`` and ``shade_adjoint_ms``, of
+    65,536 pixels under the learned light; ``shade_quarter_ms`` and ``shade_quarter_adjoint_ms``, with three
+    quarters of them uncovered; ``environment_ms``, a file of 1024 x 512 pixels to a filtered environment of
+    256; ``monte_carlo``, see `bench.light_table`, for the maps in the folder ``hdri``.
     """
     place = torch.device(device)
     row = {
@@ -80,12 +81,16 @@ def _brute_force_error(device: torch.device) -> float:
         single = base.float().to(device)
         exact = (reference.irradiance(base), *reference.prefilter(base, ladder=BRUTE_FORCE_LADDER)[1:])
         ours = (irradiance(single), *prefilter(single, ladder=BRUTE_FORCE_LADDER)[1:])
-        worst = max(worst, *(((a.cpu() - b).abs().max() / b.max()).item() for a, b in zip(ours, exact, strict=True)))
+        worst = max(
+            worst, *(((a.cpu() - b).abs().max() / b.max()).item() for a, b in zip(ours, exact, strict=True))
+        )
     return worst
 
 
 def _environment_error(device: torch.device) -> float:
-    """Against sums over all texels of the base, by the peak of each mip: a random map with one bright texel."""
+    """Against sums over all texels of the base, by the peak of each mip: a random map with one bright
+    texel.
+    """
     generator = torch.Generator().manual_seed(0)
     size = ENVIRONMENT_SIZE
     base = torch.rand(6, size, size, 1, generator=generator)
@@ -94,10 +99,15 @@ def _environment_error(device: torch.device) -> float:
     areas = texel_solid_angles(size, dtype=torch.float64).expand(6, size, size).flatten()
     sources, values = texel_directions(size, dtype=torch.float64).view(-1, 3), base.double().view(-1)
     worst = 0.0
-    for roughness, mip in [(1.0, light.irradiance), *((ROUGHNESS_STEP * k, mip) for k, mip in enumerate(light.specular) if k)]:
+    for roughness, mip in [
+        (1.0, light.irradiance),
+        *((ROUGHNESS_STEP * k, mip) for k, mip in enumerate(light.specular) if k),
+    ]:
         found = mip.cpu().double().view(-1)
         # The brightest texel, where the lobe of the bright one peaks, and others at random.
-        chosen = torch.cat([found.argmax()[None], torch.randint(len(found), (CHECKED_TEXELS - 1,), generator=generator)])
+        chosen = torch.cat(
+            [found.argmax()[None], torch.randint(len(found), (CHECKED_TEXELS - 1,), generator=generator)]
+        )
         cosine = texel_directions(mip.shape[1], dtype=torch.float64).view(-1, 3)[chosen] @ sources.T
         weights = cosine.clamp(min=0) * areas / ((1 + cosine) / 2 * (roughness**4 - 1) + 1) ** 2
         exact = weights @ values / (torch.pi if mip is light.irradiance else weights.sum(dim=1))
@@ -123,13 +133,21 @@ def _shade_ms(device: torch.device) -> dict[str, float]:
 
     normal = torch.nn.functional.normalize(random(3) * 2 - 1, dim=-1)
     view = torch.nn.functional.normalize(normal + 0.5 * (random(3) * 2 - 1), dim=-1).to(device)
-    values = [value.to(device).requires_grad_() for value in (random(3), normal, random(1), random(1), random(1), random(1))]
+    values = [
+        value.to(device).requires_grad_()
+        for value in (random(3), normal, random(1), random(1), random(1), random(1))
+    ]
     light = LearnableLight(torch.ones(3)).to(device)()
     maps = [mip.detach().requires_grad_() for mip in _maps(light)]
     light = FilteredLight(maps[0], tuple(maps[1:]))
     times = {}
     for name, covered in (("shade", 1.0), ("shade_quarter", 0.25)):
-        alpha = (torch.arange(SHADED_PIXELS) < covered * SHADED_PIXELS).float()[:, None].to(device).requires_grad_()
+        alpha = (
+            (torch.arange(SHADED_PIXELS) < covered * SHADED_PIXELS)
+            .float()[:, None]
+            .to(device)
+            .requires_grad_()
+        )
 
         def run(alpha: Tensor = alpha) -> Tensor:
             return shade(*values, view, light, alpha=alpha).image
@@ -148,7 +166,9 @@ def _environment_ms(device: torch.device) -> float:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "light.hdr"
         OpenImageIO.ImageBuf(panorama.numpy()).write(str(path))
-        return least_ms(lambda: Environment.load(path, size=ENVIRONMENT_SIZE).to(device).filtered(), device, repeats=3)
+        return least_ms(
+            lambda: Environment.load(path, size=ENVIRONMENT_SIZE).to(device).filtered(), device, repeats=3
+        )
 
 
 def _maps(light: FilteredLight) -> list[Tensor]:

@@ -1,4 +1,6 @@
-"""How far shading is from the truth under real lights: spheres and a head, against Monte Carlo of the same split-sum terms."""
+"""How far shading is from the truth under real lights: spheres and a head, against Monte Carlo of the same
+split-sum terms.
+"""
 
 from __future__ import annotations
 
@@ -12,11 +14,11 @@ from torch import Tensor
 from samira_warp.avatar.gbuffer import SurfaceAttributes
 from samira_warp.bench.light_truth import Panorama, brdf_terms, seen_light
 from samira_warp.bench.subject import make_avatar, make_camera, make_parameters
-from samira_warp.constants import COVERED_ALPHA
-from samira_warp.errors import UserError
 from samira_warp.light.environment import Environment
 from samira_warp.light.radiance_map import RadianceMap
 from samira_warp.light.shading import shade
+from samira_warp.support.constants import COVERED_ALPHA
+from samira_warp.support.errors import UserError
 
 SPHERE_ROUGHNESS = (0.1, 0.25, 0.35, 0.5, 0.75, 1.0)
 """Roughness of the spheres: 0.1 and 0.35 are blends of two mips, the others are mips of their own."""
@@ -41,9 +43,11 @@ class Surface(NamedTuple):
 
 
 def light_table(folder: Path, device: torch.device) -> list[dict[str, object]]:
-    """One row per map in ``folder`` and object: root mean square errors over the mean of the truth, all in linear radiance.
+    """One row per map in ``folder`` and object: root mean square errors over the mean of the truth, all in
+    linear radiance.
 
-    Fields: ``map``; ``object``; ``irradiance``, ``specular_light`` and ``color``, the errors of L_d, L_s and C_fg; and ``noise``, the
+    Fields: ``map``; ``object``; ``irradiance``, ``specular_light`` and ``color``, the errors of L_d, L_s and
+        C_fg; and ``noise``, the
     standard error of the true C_fg itself.
 
     Raises:
@@ -52,18 +56,25 @@ def light_table(folder: Path, device: torch.device) -> list[dict[str, object]]:
     paths = sorted(path for path in folder.glob("*") if path.suffix.lower() in (".hdr", ".exr"))
     if not paths:
         raise UserError(folder, expected="a folder of .hdr or .exr maps", found="none")
-    objects = {f"sphere {roughness:g}": sphere(roughness) for roughness in SPHERE_ROUGHNESS} | {"head": head()}
+    objects = {f"sphere {roughness:g}": sphere(roughness) for roughness in SPHERE_ROUGHNESS} | {
+        "head": head()
+    }
     rows = []
     for path in paths:
         panorama = _read_panorama(path)
         light = Environment.load(path).to(device).filtered()
         for name, surface in objects.items():
             shaded = shade(*(values.to(device) for values in surface), light)
-            found = (value.cpu().double().numpy() for value in (shaded.irradiance, shaded.specular_light, shaded.color))
+            found = (
+                value.cpu().double().numpy()
+                for value in (shaded.irradiance, shaded.specular_light, shaded.color)
+            )
             truth, noise = true_light(surface, panorama, np.random.default_rng(0))
             errors = {
                 term: _relative(mine - exact, exact)
-                for term, mine, exact in zip(("irradiance", "specular_light", "color"), found, truth, strict=True)
+                for term, mine, exact in zip(
+                    ("irradiance", "specular_light", "color"), found, truth, strict=True
+                )
             }
             rows.append({"map": path.stem, "object": name, **errors, "noise": _relative(noise, truth[-1])})
     return rows
@@ -72,11 +83,17 @@ def light_table(folder: Path, device: torch.device) -> list[dict[str, object]]:
 def _read_panorama(path: Path) -> Panorama:
     radiance = RadianceMap.read(path)
     if radiance.face_size is not None:
-        raise UserError(path, expected="an equirectangular map, twice as wide as high, which is sampled as it is", found="a cube cross")
+        raise UserError(
+            path,
+            expected="an equirectangular map, twice as wide as high, which is sampled as it is",
+            found="a cube cross",
+        )
     return Panorama(radiance.texels.double().numpy())
 
 
-def true_light(surface: Surface, panorama: Panorama, generator: np.random.Generator) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
+def true_light(
+    surface: Surface, panorama: Panorama, generator: np.random.Generator
+) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
     """L_d, L_s and C_fg (M, 3) of a surface, float64, by Monte Carlo, and the standard error of C_fg."""
     albedo, normal, roughness, f, tau_d, tau_s, view = (values.double().numpy() for values in surface)
     cosine = (normal * view).sum(axis=-1, keepdims=True)
@@ -89,12 +106,18 @@ def true_light(surface: Surface, panorama: Panorama, generator: np.random.Genera
     factor, factor_error = (f * part[:, :1] + part[:, 1:] for part in terms)
     matte = albedo * (1 - f) * tau_d
     color = matte * diffuse.mean + tau_s * shine.mean * factor
-    error = np.sqrt((matte * diffuse.error) ** 2 + (tau_s * shine.error * factor) ** 2 + (tau_s * shine.mean * factor_error) ** 2)
+    error = np.sqrt(
+        (matte * diffuse.error) ** 2
+        + (tau_s * shine.error * factor) ** 2
+        + (tau_s * shine.mean * factor_error) ** 2
+    )
     return (tau_d * diffuse.mean, tau_s * shine.mean, color), error
 
 
 def sphere(roughness: float) -> Surface:
-    """A grey sphere of reflectance 0.04 seen from +z, its points evenly spread (Vogel's spiral) to 75 degrees from the centre."""
+    """A grey sphere of reflectance 0.04 seen from +z, its points evenly spread (Vogel's spiral) to 75 degrees
+    from the centre.
+    """
     index = np.arange(POINTS) + 0.5
     radius, turn = np.sin(np.radians(75)) * np.sqrt(index / POINTS), index * np.pi * (3 - np.sqrt(5))
     points = np.stack([radius * np.cos(turn), radius * np.sin(turn), np.sqrt(1 - radius**2)], axis=-1)
@@ -117,13 +140,17 @@ def head() -> Surface:
 
 
 def print_light_table(rows: list[dict[str, object]]) -> None:
-    """One line per map: per cent of error of L_d and, per object, of L_s; then of C_fg on the head, and what of that is noise."""
+    """One line per map: per cent of error of L_d and, per object, of L_s; then of C_fg on the head, and what
+    of that is noise.
+    """
     by_map: dict[str, dict[str, dict[str, object]]] = {}
     for row in rows:
         by_map.setdefault(str(row["map"]), {})[str(row["object"])] = row
     width = max(map(len, by_map))
     spheres = [name for name in next(iter(by_map.values())) if name != "head"]
-    print("\nper cent of the mean, root mean square, against Monte Carlo: L_d and C_fg on the head, L_s on spheres by roughness")
+    print(
+        "\nper cent of the mean, root mean square, against Monte Carlo: L_d and C_fg on the head, L_s on spheres by roughness"
+    )
     titles = ["L_d", *(name.removeprefix("sphere ") for name in spheres), "L_s head", "C_fg head", "noise"]
     print(" ".join(["map".ljust(width), *(title.rjust(9) for title in titles)]))
     for name, found in by_map.items():

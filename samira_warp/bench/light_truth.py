@@ -1,7 +1,9 @@
-"""What light the split-sum terms should see, by Monte Carlo straight from the panorama, in float64 and with a standard error.
+"""What light the split-sum terms should see, by Monte Carlo straight from the panorama, in float64 and with a
+standard error.
 
-Nothing here knows of cubemaps, mips or tables. Each integral is sampled by its lobe and by the light's brightness together (the balance
-heuristic of Veach, 1997), so that neither a narrow lobe nor a small sun is missed.
+Nothing here knows of cubemaps, mips or tables. Each integral is sampled by its lobe and by the light's
+brightness together (the balance heuristic of Veach, 1997), so that neither a narrow lobe nor a small sun is
+missed.
 """
 
 from __future__ import annotations
@@ -38,7 +40,9 @@ class Panorama:
     pixels: np.ndarray
 
     def radiance(self, directions: np.ndarray) -> np.ndarray:
-        """(..., 3) of unit directions (..., 3): straight ahead (-z) lies the centre, at a quarter to the right +x."""
+        """(..., 3) of unit directions (..., 3): straight ahead (-z) lies the centre, at a quarter to the
+        right +x.
+        """
         column, row = (place - 0.5 for place in self._place(directions))
         i, j = np.floor(column).astype(int), np.floor(row).astype(int)
         x, y = (column - i)[..., None], (row - j)[..., None]
@@ -57,7 +61,9 @@ class Panorama:
         """(count, 3) directions, by brightness."""
         height, width = self.pixels.shape[:2]
         sums = np.cumsum(self._chances().ravel())
-        pixel = np.minimum(np.searchsorted(sums, generator.random(count) * sums[-1], side="right"), sums.size - 1)
+        pixel = np.minimum(
+            np.searchsorted(sums, generator.random(count) * sums[-1], side="right"), sums.size - 1
+        )
         row, column = pixel // width, pixel % width
         edges = np.cos(np.linspace(0, np.pi, height + 1))
         up = edges[row] + generator.random(count) * (edges[row + 1] - edges[row])
@@ -92,22 +98,33 @@ class Panorama:
 
 
 def seen_light(
-    panorama: Panorama, directions: np.ndarray, roughness: np.ndarray, *, samples: int, generator: np.random.Generator
+    panorama: Panorama,
+    directions: np.ndarray,
+    roughness: np.ndarray,
+    *,
+    samples: int,
+    generator: np.random.Generator,
 ) -> Estimate:
-    """E_s about ``directions`` (P, 3) at ``roughness`` (P,): the mean radiance, weighted by D_GGX(n . h) max(n . l, 0) with v = n.
+    """E_s about ``directions`` (P, 3) at ``roughness`` (P,): the mean radiance, weighted by D_GGX(n . h)
+    max(n . l, 0) with v = n.
 
     At roughness 1 that is the cosine: E_d.
     """
     alpha = (roughness**2)[:, None]
 
     def distribution(light: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        cosine = np.einsum("pki,pi->pk", np.broadcast_to(light, (len(directions), *light.shape[1:])), directions)
+        cosine = np.einsum(
+            "pki,pi->pk", np.broadcast_to(light, (len(directions), *light.shape[1:])), directions
+        )
         return cosine, alpha**2 / (np.pi * ((1 + cosine) / 2 * (alpha**2 - 1) + 1) ** 2)
 
     def terms(light: np.ndarray) -> np.ndarray:
         cosine, density = distribution(light)
-        value = panorama.radiance(light) * (density * np.maximum(cosine, 0) / _lobe_integral(alpha))[..., None]
-        # A half vector drawn by D cos(theta_h) turns the light by twice its angle, over four times the solid angle.
+        value = (
+            panorama.radiance(light) * (density * np.maximum(cosine, 0) / _lobe_integral(alpha))[..., None]
+        )
+        # A half vector drawn by D cos(theta_h) turns the light by twice its angle, over four times the solid
+        # angle.
         return value / (samples * (density / 4 + panorama.density(light)))[..., None]
 
     by_lobe = terms(_mirror_lobe(directions, alpha, samples, generator))
@@ -116,8 +133,12 @@ def seen_light(
     return Estimate(by_lobe.sum(axis=1) + by_light.sum(axis=1), error)
 
 
-def brdf_terms(roughness: np.ndarray, cosine: np.ndarray, *, samples: int, generator: np.random.Generator) -> Estimate:
-    """(P, 2) B_x and B_y of Eq. pbr_color at ``roughness`` and ``cosine`` = n . v, (P,), over half vectors drawn by D cos(theta_h)."""
+def brdf_terms(
+    roughness: np.ndarray, cosine: np.ndarray, *, samples: int, generator: np.random.Generator
+) -> Estimate:
+    """(P, 2) B_x and B_y of Eq. pbr_color at ``roughness`` and ``cosine`` = n . v, (P,), over half vectors
+    drawn by D cos(theta_h).
+    """
     alpha, cosine = (roughness**2)[:, None], cosine[:, None]
     half = _half_vectors(alpha, samples, generator)
     view_half = np.sqrt(1 - cosine**2) * half[..., 0] + cosine * half[..., 2]
@@ -140,7 +161,9 @@ def _half_vectors(alpha: np.ndarray, samples: int, generator: np.random.Generato
     return np.stack([sine * np.cos(turn), sine * np.sin(turn), cosine], axis=-1)
 
 
-def _mirror_lobe(directions: np.ndarray, alpha: np.ndarray, samples: int, generator: np.random.Generator) -> np.ndarray:
+def _mirror_lobe(
+    directions: np.ndarray, alpha: np.ndarray, samples: int, generator: np.random.Generator
+) -> np.ndarray:
     """(P, samples, 3) directions (P, 3) mirrored in half vectors about them."""
     half = _half_vectors(alpha, samples, generator)
     lights = 2 * half[..., 2:] * half - np.array([0.0, 0.0, 1.0])

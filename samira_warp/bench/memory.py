@@ -13,9 +13,11 @@ from torch.utils._pytree import tree_leaves
 
 
 def peak_bytes(function: Callable[[], object], device: torch.device) -> int:
-    """Most bytes at once of the tensors that ``function`` makes, above what was alive before; its result counts while it runs.
+    """Most bytes at once of the tensors that ``function`` makes, above what was alive before; its result
+    counts while it runs.
 
-    On a GPU the allocator's own account; on a CPU every tensor's storage, from the operation that makes it until its last owner is gone.
+    On a GPU the allocator's own account; on a CPU every tensor's storage, from the operation that makes it
+    until its last owner is gone.
     """
     if device.type == "cuda":
         torch.cuda.synchronize(device)
@@ -39,7 +41,11 @@ class _StorageCounter(TorchDispatchMode):
         self._seen = weakref.WeakSet[torch.UntypedStorage]()
 
     def __torch_dispatch__(
-        self, operation: Callable[..., Any], types: Any, arguments: tuple[Any, ...] = (), options: dict[str, Any] | None = None
+        self,
+        operation: Callable[..., Any],
+        types: Any,
+        arguments: tuple[Any, ...] = (),
+        options: dict[str, Any] | None = None,
     ) -> Any:
         # what an operation returns is new unless it came in: views and results in place share their storage
         self._seen.update(_storages((arguments, options)))

@@ -1,4 +1,6 @@
-"""Times of the rasteriser on a synthetic head, beside a yardstick: the plain per-pixel kernels on a CPU, gsplat on a GPU."""
+"""Times of the rasteriser on a synthetic head, beside a yardstick: the plain per-pixel kernels on a CPU,
+gsplat on a GPU.
+"""
 
 from __future__ import annotations
 
@@ -18,11 +20,11 @@ from samira_warp.bench.gsplat_peer import GsplatTimes, gsplat_times
 from samira_warp.bench.memory import peak_bytes
 from samira_warp.bench.scene import Scene, make_scene
 from samira_warp.bench.timing import hardware, least_ms
-from samira_warp.kernels.blending import blend
-from samira_warp.kernels.projection import Projection, project
-from samira_warp.kernels.rasterizer import rasterize
-from samira_warp.kernels.tiles import TILE, TileBins, bin_tiles
-from samira_warp.reference import blending_plain
+from samira_warp.kernels.plain import blending as blending_plain
+from samira_warp.kernels.raster.blending import blend
+from samira_warp.kernels.raster.projection import Projection, project
+from samira_warp.kernels.raster.rasterizer import rasterize
+from samira_warp.kernels.raster.tiles import TILE, TileBins, bin_tiles
 
 GBUFFER_CHANNELS = 11
 """Albedo and normal, three each; roughness, specular, two response factors and depth."""
@@ -66,9 +68,12 @@ class Row:
         forward_ratio: The plain kernel's time over ours.
         backward_ratio: Likewise.
         pairs_per_second: Pixels of all intersections (256 each) over the forward time.
-        cycles_per_16_pairs: Core cycles, all threads together, for 16 of those pairs; None where the clock is unknown.
-        peak_bytes: Most bytes of tensors that the whole operator, with its backward pass, has at once above its inputs; measured.
-        dispatch_forward_ms: The whole operator on one Gaussian in one tile, where its kernels take microseconds: the host's overhead.
+        cycles_per_16_pairs: Core cycles, all threads together, for 16 of those pairs; None where the clock is
+            unknown.
+        peak_bytes: Most bytes of tensors that the whole operator, with its backward pass, has at once above
+            its inputs; measured.
+        dispatch_forward_ms: The whole operator on one Gaussian in one tile, where its kernels take
+            microseconds: the host's overhead.
         dispatch_backward_ms: Likewise.
         gsplat_prepare_ms: See `GsplatTimes`; this and what follows is None where gsplat was not run.
         gsplat_forward_ms: Likewise.
@@ -139,11 +144,17 @@ def main(device: str, json: bool) -> None:
 
 
 def _in_table(name: str, device: torch.device) -> bool:
-    """Whether a field is a column of the large table: not what is the same in every row, nor the other device's yardstick."""
+    """Whether a field is a column of the large table: not what is the same in every row, nor the other
+    device's yardstick.
+    """
     if name.startswith("dispatch") or name == "hardware":
         return False
     if device.type == "cuda":
-        return not name.startswith("plain") and name not in ("forward_ratio", "backward_ratio", "cycles_per_16_pairs")
+        return not name.startswith("plain") and name not in (
+            "forward_ratio",
+            "backward_ratio",
+            "cycles_per_16_pairs",
+        )
     return not name.startswith("gsplat")
 
 
@@ -173,16 +184,29 @@ def run(device: torch.device, sweep: Sweep) -> Iterator[Row]:
                         plain = _plain_times(scene, channels)
                         plain_seconds += time.perf_counter() - start
                         if plain_seconds >= PLAIN_BUDGET:
-                            print(f"plain kernels left out from here on: they had {PLAIN_BUDGET:g} seconds", file=sys.stderr)
+                            print(
+                                f"plain kernels left out from here on: they had {PLAIN_BUDGET:g} seconds",
+                                file=sys.stderr,
+                            )
                     gsplat = gsplat_times(scene, channels) if device.type == "cuda" else None
                     for threads in sweep.threads:
                         torch.set_num_threads(threads or threads_before)
-                        yield _row(scene, channels, threads, plain=plain, gsplat=gsplat, dispatch=dispatch[threads])
+                        yield _row(
+                            scene, channels, threads, plain=plain, gsplat=gsplat, dispatch=dispatch[threads]
+                        )
     finally:
         torch.set_num_threads(threads_before)
 
 
-def _row(scene: Scene, channels: int, threads: int, *, plain: Times | None, gsplat: GsplatTimes | None, dispatch: Times) -> Row:
+def _row(
+    scene: Scene,
+    channels: int,
+    threads: int,
+    *,
+    plain: Times | None,
+    gsplat: GsplatTimes | None,
+    dispatch: Times,
+) -> Row:
     ours = stage_times(scene, channels)
     clock = _clock() if threads else None
     pairs_per_second = 1e3 * TILE * TILE * ours.intersections / ours.forward
@@ -223,46 +247,73 @@ def stage_times(scene: Scene, channels: int) -> StageTimes:
     return StageTimes(
         prepare=least_ms(lambda: _prepare(scene), device, repeats=REPEATS),
         forward=least_ms(lambda: blend(*leaves, bins, **size), device, repeats=REPEATS),
-        backward=least_ms(lambda: torch.autograd.grad(blended, leaves, gradients, retain_graph=True), device, repeats=REPEATS),
+        backward=least_ms(
+            lambda: torch.autograd.grad(blended, leaves, gradients, retain_graph=True),
+            device,
+            repeats=REPEATS,
+        ),
         intersections=bins.records.shape[0],
     )
 
 
 def dispatch_times(device: torch.device) -> Times:
-    """Time the whole operator where there is next to nothing to compute: one Gaussian in an image of one tile."""
+    """Time the whole operator where there is next to nothing to compute: one Gaussian in an image of one
+    tile.
+    """
     scene = make_scene(1, TILE, device)
     leaves, gradients = _leaves(scene, 3), scene.image_gradients(3)
     # reading the number of intersections back would wait for the kernels, on a GPU
     capacity = 1 if device.type == "cuda" else None
     found = rasterize(*leaves, scene.camera, capacity=capacity)
     return Times(
-        least_ms(lambda: rasterize(*leaves, scene.camera, capacity=capacity), device, repeats=DISPATCH_REPEATS),
-        least_ms(lambda: torch.autograd.grad(found[:2], leaves, gradients, retain_graph=True), device, repeats=DISPATCH_REPEATS),
+        least_ms(
+            lambda: rasterize(*leaves, scene.camera, capacity=capacity), device, repeats=DISPATCH_REPEATS
+        ),
+        least_ms(
+            lambda: torch.autograd.grad(found[:2], leaves, gradients, retain_graph=True),
+            device,
+            repeats=DISPATCH_REPEATS,
+        ),
     )
 
 
 def operator_peak_bytes(scene: Scene, channels: int) -> int:
-    """Peak bytes of the whole operator, forward and backward, above its inputs and the gradients that it gets."""
+    """Peak bytes of the whole operator, forward and backward, above its inputs and the gradients that it
+    gets.
+    """
     leaves, gradients = _leaves(scene, channels), scene.image_gradients(channels)
-    return peak_bytes(lambda: torch.autograd.grad(rasterize(*leaves, scene.camera)[:2], leaves, gradients), scene.means.device)
+    return peak_bytes(
+        lambda: torch.autograd.grad(rasterize(*leaves, scene.camera)[:2], leaves, gradients),
+        scene.means.device,
+    )
 
 
 def _plain_times(scene: Scene, channels: int) -> Times:
     """Time the plain kernels, whose adjoint is right on one thread only."""
     projection, bins = _prepare(scene)
-    tensors, gradients, device = _blended(scene, projection, channels), scene.image_gradients(channels), scene.means.device
+    tensors, gradients, device = (
+        _blended(scene, projection, channels),
+        scene.image_gradients(channels),
+        scene.means.device,
+    )
     size = {"width": scene.camera.width, "height": scene.camera.height}
     gaussians = bins.gaussians
     blended = blending_plain.blend(*tensors, bins, gaussians, **size)
     return Times(
         least_ms(lambda: blending_plain.blend(*tensors, bins, gaussians, **size), device, repeats=REPEATS),
-        least_ms(lambda: blending_plain.blend_adjoint(*tensors, bins, gaussians, blended, *gradients), device, repeats=REPEATS),
+        least_ms(
+            lambda: blending_plain.blend_adjoint(*tensors, bins, gaussians, blended, *gradients),
+            device,
+            repeats=REPEATS,
+        ),
     )
 
 
 def _prepare(scene: Scene) -> tuple[Projection, TileBins]:
     projection = project(scene.means, scene.quaternions, scene.scales, scene.opacities, scene.camera)
-    return projection, bin_tiles(projection, scene.opacities, width=scene.camera.width, height=scene.camera.height)
+    return projection, bin_tiles(
+        projection, scene.opacities, width=scene.camera.width, height=scene.camera.height
+    )
 
 
 def _blended(scene: Scene, projection: Projection, channels: int) -> list[Tensor]:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from samira_warp.camera import Camera
+from samira_warp.geometry.camera import Camera
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,9 @@ class Scene:
         return torch.rand(len(self.means), channels, generator=generator).to(self.means)
 
     def image_gradients(self, channels: int) -> tuple[Tensor, Tensor]:
-        """Normal (H, W, C) and (H, W): the gradients of a loss by the blended features and by the transmittance."""
+        """Normal (H, W, C) and (H, W): the gradients of a loss by the blended features and by the
+        transmittance.
+        """
         generator = torch.Generator().manual_seed(channels)
         height, width = self.camera.height, self.camera.width
         shapes = ((height, width, channels), (height, width))
@@ -43,14 +45,18 @@ class Scene:
 
 
 def make_scene(count: int, size: int, device: torch.device) -> Scene:
-    """Uniform in a disc of radius 0.42 H, axes lognormal about 2 px at H = 512 with sigma 0.5, any turn, opacity 0.05..0.95; seed 0."""
+    """Uniform in a disc of radius 0.42 H, axes lognormal about 2 px at H = 512 with sigma 0.5, any turn,
+    opacity 0.05..0.95; seed 0.
+    """
     generator = torch.Generator().manual_seed(0)
     uniform = torch.rand(6, count, generator=generator)
     angle, radius = 2 * math.pi * uniform[0], 0.42 * size * uniform[1].sqrt()
     # a lens this long sees the same ellipse wherever the Gaussian is
     focal = 50.0 * size
     depths = 1.0 + uniform[2]
-    means = torch.stack([radius * angle.cos() * depths / focal, radius * angle.sin() * depths / focal, depths], dim=-1)
+    means = torch.stack(
+        [radius * angle.cos() * depths / focal, radius * angle.sin() * depths / focal, depths], dim=-1
+    )
     pixels = 2.0 * size / 512 * torch.exp(0.5 * torch.randn(count, 2, generator=generator))
     scales = torch.cat([pixels * (depths / focal)[:, None], torch.zeros(count, 1)], dim=-1)
     half_turn = 0.5 * math.pi * uniform[3]

@@ -1,4 +1,6 @@
-"""A stand-in subject for benchmarks: an ellipsoid head of realistic size in FLAME's layout, with everything an avatar needs."""
+"""A stand-in subject for benchmarks: an ellipsoid head of realistic size in FLAME's layout, with everything
+an avatar needs.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +8,7 @@ import numpy as np
 import torch
 
 from samira_warp.avatar import Avatar, AvatarSettings, CanonicalHead, conditions_of
-from samira_warp.camera import Camera
+from samira_warp.geometry.camera import Camera
 from samira_warp.head import FrameParameters, HeadTemplate
 from samira_warp.light import LearnableLight
 from samira_warp.nets import ConditionStatistics, MotionSettings, encode_reference
@@ -26,17 +28,26 @@ FOCAL_SHARE = 2.8
 
 
 def make_template() -> HeadTemplate:
-    """An ellipsoid with 50 smooth random expressions, a rectangular atlas, and bands of latitude for regions."""
+    """An ellipsoid with 50 smooth random expressions, a rectangular atlas, and bands of latitude for
+    regions.
+    """
     generator = np.random.default_rng(0)
     v, u = np.meshgrid(np.linspace(0.0, 1.0, RINGS), np.linspace(0.0, 1.0, SEGMENTS), indexing="ij")
     polar, azimuth = np.pi * (0.02 + 0.96 * v.ravel()), 2.0 * np.pi * u.ravel()
-    unit = np.stack([-np.sin(polar) * np.sin(azimuth), np.cos(polar), -np.sin(polar) * np.cos(azimuth)], axis=1)
+    unit = np.stack(
+        [-np.sin(polar) * np.sin(azimuth), np.cos(polar), -np.sin(polar) * np.cos(azimuth)], axis=1
+    )
     vertices = unit * HALF_AXES
     waves = generator.normal(scale=2.0, size=(EXPRESSIONS, 3))
     bumps = 1e-3 * np.sin(unit @ waves.T + generator.uniform(0, 6, EXPRESSIONS))
     shapedirs = unit[:, :, None] * bumps[:, None, :]
     index = np.arange(RINGS * SEGMENTS).reshape(RINGS, SEGMENTS)
-    a, b, c, d = index[:-1, :-1].ravel(), index[1:, :-1].ravel(), index[1:, 1:].ravel(), index[:-1, 1:].ravel()
+    a, b, c, d = (
+        index[:-1, :-1].ravel(),
+        index[1:, :-1].ravel(),
+        index[1:, 1:].ravel(),
+        index[:-1, 1:].ravel(),
+    )
     faces = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)]).astype(np.int32)
     count = len(vertices)
     weights = np.zeros((count, 5))
@@ -82,13 +93,24 @@ def make_camera(size: int) -> Camera:
 def make_avatar(preset: str, *, device: torch.device | str) -> Avatar:
     """An avatar of a preset's sizes, with opaque grey Gaussians and random reference features."""
     sizes = PRESETS[preset]
-    canonical = CanonicalHead.build(make_template(), shape=torch.zeros(0), static_offset=None, uv_size=sizes.uv_size)
+    canonical = CanonicalHead.build(
+        make_template(), shape=torch.zeros(0), static_offset=None, uv_size=sizes.uv_size
+    )
     grey = torch.full((sizes.uv_size, sizes.uv_size, 3), 0.5)
     gaussians = initial_gaussians(
-        canonical, count=sizes.gaussians, opacity=0.7, albedo=grey, smooth_normals=True, generator=torch.Generator().manual_seed(0)
+        canonical,
+        count=sizes.gaussians,
+        opacity=0.7,
+        albedo=grey,
+        smooth_normals=True,
+        generator=torch.Generator().manual_seed(0),
     )
     features, _ = encode_reference(grey, encoder="random")
-    settings = AvatarSettings(uv_size=sizes.uv_size, motion=MotionSettings(width=sizes.width, region_width=sizes.region_width))
+    settings = AvatarSettings(
+        uv_size=sizes.uv_size, motion=MotionSettings(width=sizes.width, region_width=sizes.region_width)
+    )
     statistics = ConditionStatistics.of([conditions_of(make_parameters(seed)) for seed in range(8)])
     light = LearnableLight(torch.ones(3))
-    return Avatar(canonical, settings, gaussians=gaussians, image_features=features, statistics=statistics, light=light).to(device)
+    return Avatar(
+        canonical, settings, gaussians=gaussians, image_features=features, statistics=statistics, light=light
+    ).to(device)

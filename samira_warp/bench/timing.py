@@ -50,7 +50,9 @@ def repeat(run: Callable[[], object]) -> None:
 
 
 def least_ms(function: Callable[[], object], device: torch.device, *, repeats: int) -> float:
-    """Milliseconds of a call, after one to warm up: on a CPU the least of ``repeats``, on a GPU their mean between two events."""
+    """Milliseconds of a call, after one to warm up: on a CPU the least of ``repeats``, on a GPU their mean
+    between two events.
+    """
     function()
     if device.type == "cuda":
         begin, end = (torch.cuda.Event(enable_timing=True) for _ in range(2))
@@ -86,7 +88,9 @@ def _processor() -> str:
 def print_table(rows: list[dict[str, object]]) -> None:
     """Print rows with equal keys as aligned columns."""
     cells = [[str(key) for key in rows[0]]]
-    cells += [[f"{value:.1f}" if isinstance(value, float) else str(value) for value in row.values()] for row in rows]
+    cells += [
+        [f"{value:.1f}" if isinstance(value, float) else str(value) for value in row.values()] for row in rows
+    ]
     widths = [max(len(line[column]) for line in cells) for column in range(len(cells[0]))]
     for line in cells:
         print("  ".join(cell.rjust(width) for cell, width in zip(line, widths, strict=True)))

@@ -7,14 +7,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from samira_warp.check.report import check_dataset
-from samira_warp.cli import run
-from samira_warp.errors import UserError
-from samira_warp.images import write_png
+from samira_warp.io.images import write_png
+from samira_warp.support.cli import run
+from samira_warp.support.errors import UserError
 
 
 @dataclass(frozen=True)
 class CheckConfig:
-    """Say what a dataset holds and all that is wrong with it, and draw the tracked mesh over a dozen of its frames.
+    """Say what a dataset holds and all that is wrong with it, and draw the tracked mesh over a dozen of its
+    frames.
 
     The exit status is 0 where it can be trained on, and 2 where anything stands against it.
     """
@@ -26,13 +27,15 @@ class CheckConfig:
     """How to divide it: train or test (both the dataset's own), a fraction, or last:N."""
 
     flame: Path | None = None
-    """FLAME's file (.pkl or .npz, with its UV coordinates and masks beside it), or a template.npz, for a dataset without one."""
+    """FLAME's file (.pkl or .npz, with its UV coordinates and masks beside it), or a template.npz, for a
+    dataset without one."""
 
     out: Path | None = None
     """Where to write the contact sheet, a PNG; default <folder's name>_check.png in the working directory."""
 
     quick: bool = False
-    """What train does before it begins: decode no pictures but the masks of a dozen frames, and draw nothing."""
+    """What train does before it begins: decode no pictures but the masks of a dozen frames, and draw
+    nothing."""
 
     json: bool = False
     """Print a JSON object instead of lines."""
@@ -53,7 +56,11 @@ def main(config: CheckConfig) -> None:
         write_png(path, report.sheet)
         print(f"the mesh over its pictures: {path}", file=sys.stderr)
     if report.faults:
-        raise UserError(config.data, expected="a dataset to train on", found=f"{report.faults} fault{'s' * (report.faults > 1)}")
+        raise UserError(
+            config.data,
+            expected="a dataset to train on",
+            found=f"{report.faults} fault{'s' * (report.faults > 1)}",
+        )
 
 
 if __name__ == "__main__":

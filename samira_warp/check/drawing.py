@@ -6,9 +6,9 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from samira_warp.check.views import View, coverage, faces_before
-from samira_warp.contact_sheet import contact_sheet
-from samira_warp.errors import UserError
-from samira_warp.images import read_on_white, resize_box
+from samira_warp.io.images import read_on_white, resize_box
+from samira_warp.stage.contact_sheet import contact_sheet
+from samira_warp.support.errors import UserError
 
 CELL = 360
 """Pixels of the longer side of a picture on the sheet."""
@@ -40,7 +40,9 @@ def mesh_sheet(views: list[View], faces: np.ndarray, *, parts: dict[str, str]) -
 
 
 def mesh_overlay(view: View, faces: np.ndarray, *, width: int, height: int) -> np.ndarray:
-    """(height, width, 4) float32 premultiplied display values and coverage of a mesh: shaded faces with their edges, near over far."""
+    """(height, width, 4) float32 premultiplied display values and coverage of a mesh: shaded faces with their
+    edges, near over far.
+    """
     camera = view.frame.camera
     faces = faces_before(view.points, faces)
     corners = view.points[faces]

@@ -52,8 +52,16 @@ def head_facts(sequence: Sequence, views: list[View]) -> dict[str, str]:
         frame, shape = np.unravel_index(np.abs(expression).argmax(), expression.shape)
         most = f"the largest is {template.expression_names[shape]} in {sequence.frames[frame].name}"
         facts["expression"] = f"coefficients {_range(expression)}, {most}"
-    turns = {name: torch.stack([getattr(each, name) for each in parameters]) for name in ("rotation", "neck", "jaw")}
-    facts["turn"] = ", ".join(f"{name} up to {float(turn.norm(dim=1).max().rad2deg()):.0f}" for name, turn in turns.items()) + " degrees"
+    turns = {
+        name: torch.stack([getattr(each, name) for each in parameters])
+        for name in ("rotation", "neck", "jaw")
+    }
+    facts["turn"] = (
+        ", ".join(
+            f"{name} up to {float(turn.norm(dim=1).max().rad2deg()):.0f}" for name, turn in turns.items()
+        )
+        + " degrees"
+    )
     if views:
         depths = [float(np.median(view.points[:, 2])) for view in views]
         facts["distance"] = f"{min(depths):.2f} to {max(depths):.2f} metres from the camera"
@@ -71,7 +79,11 @@ def _cameras(listing: Listing) -> str:
     cameras = [frame.camera for frame in listing.frames]
     poses = {camera.world_to_camera.numpy().tobytes() for camera in cameras}
     focal = np.array([camera.fx for camera in cameras])
-    shown = f"{focal.min():.5g}" if np.ptp(focal) < 1e-3 * focal.max() else f"{focal.min():.5g} to {focal.max():.5g}"
+    shown = (
+        f"{focal.min():.5g}"
+        if np.ptp(focal) < 1e-3 * focal.max()
+        else f"{focal.min():.5g} to {focal.max():.5g}"
+    )
     return f"{len(poses)} pose{'s' * (len(poses) > 1)}, focal length {shown} pixels"
 
 

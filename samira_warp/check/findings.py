@@ -10,14 +10,12 @@ from pathlib import Path
 from typing import Literal
 
 from samira_warp.data.pictures import SUFFIXES
-from samira_warp.errors import UserError
+from samira_warp.support.errors import UserError
 
 MOST_ALIKE = 12
 """Findings of one kind in one folder that are told one by one."""
 
-OTHER_FLAME = (
-    "give the head model that was tracked with --flame, FLAME's 2020 and 2023 versions are two, or track again with the one that you have"
-)
+OTHER_FLAME = "give the head model that was tracked with --flame, FLAME's 2020 and 2023 versions are two, or track again with the one that you have"
 
 _SUFFIXES = (".json", ".npz", ".npy", ".frame", ".pkl", ".pickle", ".obj", *SUFFIXES)
 _FILE = re.compile(rf"(?P<path>.*?({'|'.join(map(re.escape, _SUFFIXES))}))(:|$)", re.IGNORECASE)
@@ -30,7 +28,8 @@ class Finding:
     """One thing that is wrong.
 
     Attributes:
-        severity: With a "fault" there is no training, or none that could succeed; a "warning" is for a person to judge.
+        severity: With a "fault" there is no training, or none that could succeed; a "warning" is for a person
+            to judge.
         subject: The file, key or folder.
         expected: What should be there.
         found: What is there.
@@ -58,7 +57,9 @@ def finding_of(fault: UserError) -> Finding:
 
 
 def in_lines(findings: Iterable[Finding]) -> list[str]:
-    """A line for each finding; of many that differ in their file alone, the first `MOST_ALIKE` and how many more there are."""
+    """A line for each finding; of many that differ in their file alone, the first `MOST_ALIKE` and how many
+    more there are.
+    """
     lines = []
     for _, group in groupby(findings, key=_kind):
         alike = list(group)

@@ -1,6 +1,7 @@
 """The usual mistakes, known by how a tracked head lies on the matte of its picture.
 
-A matte covers a person: hair and shoulders as well as the head, so that the head should lie in it and not fill it.
+A matte covers a person: hair and shoulders as well as the head, so that the head should lie in it and not
+fill it.
 """
 
 from __future__ import annotations
@@ -17,10 +18,12 @@ from samira_warp.check.views import View, coverage, faces_before, project, silho
 from samira_warp.data import Frame, Sequence
 
 _INSIDE = 0.7
-"""Share of a head's silhouette that lies in the matte where tracking and camera are right; rough tracking has 0.9."""
+"""Share of a head's silhouette that lies in the matte where tracking and camera are right; rough tracking has
+0.9."""
 
 _FILLED = 0.15
-"""Share of the matte that the head covers at least, in all that either covers: of a person to the waist it is about this."""
+"""Share of the matte that the head covers at least, in all that either covers: of a person to the waist it is
+about this."""
 
 _OTHER_SCALE = 4.0
 """IMavatar's heads, and those of HRAvatar's first version, are this many times as large as in metres."""
@@ -37,7 +40,10 @@ class _Case(NamedTuple):
         """Whether the head lies in the matte when the camera's distance is multiplied."""
         head, matte = self.head(distance), self.matte > 0.5
         shared = np.count_nonzero(head & matte)
-        return shared >= _INSIDE * np.count_nonzero(head) and shared >= _FILLED * np.count_nonzero(head | matte) > 0
+        return (
+            shared >= _INSIDE * np.count_nonzero(head)
+            and shared >= _FILLED * np.count_nonzero(head | matte) > 0
+        )
 
     def head(self, distance: float = 1.0) -> np.ndarray:
         """(h, w) bool silhouette."""
@@ -71,7 +77,9 @@ def _tracked(frame: Frame) -> Path:
 
 
 _MISTAKES = {
-    "inverted": _Mistake("fault", _pictures, "masks that are white on the head", "black on it", "invert the masks"),
+    "inverted": _Mistake(
+        "fault", _pictures, "masks that are white on the head", "black on it", "invert the masks"
+    ),
     "large": _Mistake(
         "fault",
         _tracked,
@@ -115,7 +123,9 @@ def matte_symptoms(sequence: Sequence, views: list[View]) -> Iterator[Finding]:
         name, count = "elsewhere", said.total()
     mistake = _MISTAKES[name]
     in_frames = f"{mistake.found} in {count} of {len(cases)} frames looked at"
-    yield Finding(mistake.severity, str(mistake.where(cases[0].view.frame)), mistake.expected, in_frames, mistake.remedy)
+    yield Finding(
+        mistake.severity, str(mistake.where(cases[0].view.frame)), mistake.expected, in_frames, mistake.remedy
+    )
 
 
 def _mistake(case: _Case) -> str | None:
@@ -133,6 +143,8 @@ def _mistake(case: _Case) -> str | None:
 
 
 def _covers_the_border(matte: np.ndarray) -> bool:
-    """Whether most of the upper border is covered, where a person is not; shoulders leave the picture below."""
+    """Whether most of the upper border is covered, where a person is not; shoulders leave the picture
+    below.
+    """
     upper = matte[: max(matte.shape[0] // 2, 1)] > 0.5
     return bool(np.concatenate([upper[0], upper[:, 0], upper[:, -1]]).mean() > 0.5)

@@ -11,8 +11,8 @@ from samira_warp.check.symptoms import symptoms_of
 from samira_warp.check.views import sampled_views
 from samira_warp.data import Listing, Sequence, open_listing, open_sequence, recognise
 from samira_warp.data.split import parse_split
-from samira_warp.errors import UserError
-from samira_warp.faults import collected_faults
+from samira_warp.support.errors import UserError
+from samira_warp.support.faults import collected_faults
 
 _ANY_SPLIT = "0.7"
 
@@ -22,8 +22,8 @@ class Opened(NamedTuple):
 
     Attributes:
         listing: The frames whose files are in order, None where there are none.
-        sequence: The same with the head that was tracked, None where it could not be read; frames whose parameters are at fault have the
-            neutral ones.
+        sequence: The same with the head that was tracked, None where it could not be read; frames whose
+            parameters are at fault have the neutral ones.
         divided: Whether the frames are divided as was asked for.
         faults: All that is wrong with the files.
     """
@@ -38,8 +38,14 @@ class Opened(NamedTuple):
         """Indices of the sequence's frames whose parameters are in order."""
         if self.sequence is None:
             return ()
-        faulty = {part for fault in self.faults for part in (fault.subject, fault.subject.rpartition(": ")[0])}
-        return tuple(index for index, frame in enumerate(self.sequence.frames) if str(frame.parameters_path) not in faulty)
+        faulty = {
+            part for fault in self.faults for part in (fault.subject, fault.subject.rpartition(": ")[0])
+        }
+        return tuple(
+            index
+            for index, frame in enumerate(self.sequence.frames)
+            if str(frame.parameters_path) not in faulty
+        )
 
 
 def open_collecting(root: Path, *, split: str, flame: Path | None) -> Opened:
@@ -77,7 +83,8 @@ def open_checked(root: Path, *, split: str = "dataset", flame: Path | None = Non
     Warnings are printed on standard error, a line each.
 
     Raises:
-        UserError: As in open_sequence, with how many faults there are; or the head cannot be where the pictures show it.
+        UserError: As in open_sequence, with how many faults there are; or the head cannot be where the
+            pictures show it.
     """
     sequence: Sequence | None = None
     with collected_faults() as faults:
@@ -85,7 +92,11 @@ def open_checked(root: Path, *, split: str = "dataset", flame: Path | None = Non
     telling = _telling(root, faults)
     if sequence is None or telling:
         first = telling[0]
-        more = f" (and {len(telling) - 1} more faults: python -m samira_warp.check --data {root})" if len(telling) > 1 else ""
+        more = (
+            f" (and {len(telling) - 1} more faults: python -m samira_warp.check --data {root})"
+            if len(telling) > 1
+            else ""
+        )
         raise UserError(first.subject, expected=first.expected, found=f"{first.found}{more}") from first
     for finding in symptoms_of(sequence, sampled_views(sequence, range(len(sequence.frames)))):
         if finding.severity == "fault":
@@ -95,7 +106,11 @@ def open_checked(root: Path, *, split: str = "dataset", flame: Path | None = Non
 
 
 def _telling(root: Path, faults: list[UserError]) -> list[UserError]:
-    """Each fault once, and complaints about the folder as a whole only where they do not follow from faults of its parts."""
+    """Each fault once, and complaints about the folder as a whole only where they do not follow from faults
+    of its parts.
+    """
     once = list({(fault.subject, fault.found): fault for fault in reversed(faults)}.values())[::-1]
-    parts = [fault for fault in once if fault.subject != str(root) and not fault.subject.startswith("--split")]
+    parts = [
+        fault for fault in once if fault.subject != str(root) and not fault.subject.startswith("--split")
+    ]
     return parts or once

@@ -15,18 +15,23 @@ from samira_warp.check.findings import Finding, finding_of
 from samira_warp.data import FrameFiles, Listing
 from samira_warp.data.pictures import key_of, natural, pictures_of, stem_of
 from samira_warp.data.vhap import CANONICAL_FILE
-from samira_warp.errors import UserError
-from samira_warp.images import read_image, read_on_white, read_rgba
+from samira_warp.io.images import read_image, read_on_white, read_rgba
+from samira_warp.support.errors import UserError
 
 _BATCH = 64
 """Frames that are handed to the threads at once: what waits for its turn costs memory."""
 
 
 def undecodable(frames: Iterable[FrameFiles]) -> list[Finding]:
-    """Pictures, masks and albedos that cannot be decoded, and masks that are empty; with progress on standard error."""
+    """Pictures, masks and albedos that cannot be decoded, and masks that are empty; with progress on standard
+    error.
+    """
     frames = list(frames)
     found: list[Finding] = []
-    with ThreadPoolExecutor(os.cpu_count()) as threads, tqdm(total=len(frames), desc="pictures", unit="frame", leave=False) as bar:
+    with (
+        ThreadPoolExecutor(os.cpu_count()) as threads,
+        tqdm(total=len(frames), desc="pictures", unit="frame", leave=False) as bar,
+    ):
         for first in range(0, len(frames), _BATCH):
             batch = frames[first : first + _BATCH]
             for findings in threads.map(_decoded, batch):
@@ -45,7 +50,10 @@ def unlisted(listing: Listing) -> list[Finding]:
     named = {key_of(frame.name) for frame in listing.frames}
     for path in listing.root.glob("transforms*.json"):
         try:
-            named |= {key_of(stem_of(entry["file_path"])) for entry in json.loads(path.read_text(encoding="utf-8"))["frames"]}
+            named |= {
+                key_of(stem_of(entry["file_path"]))
+                for entry in json.loads(path.read_text(encoding="utf-8"))["frames"]
+            }
         except (OSError, ValueError, KeyError, TypeError):
             continue
     found = []
@@ -55,7 +63,11 @@ def unlisted(listing: Listing) -> list[Finding]:
             count = f"{len(lost)} pictures that no list names, the first is {lost[0]}"
             found.append(
                 Finding(
-                    "warning", str(folder), "frames with parameters for all pictures", count, "export again to use them, or take them away"
+                    "warning",
+                    str(folder),
+                    "frames with parameters for all pictures",
+                    count,
+                    "export again to use them, or take them away",
                 )
             )
     return found
@@ -86,5 +98,13 @@ def _decoded(frame: FrameFiles) -> list[Finding]:
             return [*found, finding_of(fault)]
         if covered < 0.5:
             remedy = "make the mask again, or take the frame out of the lists"
-            found.append(Finding("warning", str(frame.mask_path), "a head that is covered", f"at most {covered:.0%} of coverage", remedy))
+            found.append(
+                Finding(
+                    "warning",
+                    str(frame.mask_path),
+                    "a head that is covered",
+                    f"at most {covered:.0%} of coverage",
+                    remedy,
+                )
+            )
     return found

@@ -1,4 +1,6 @@
-"""The whole check of a dataset: what it holds, what is wrong with it, and the sheet on which a person looks at it."""
+"""The whole check of a dataset: what it holds, what is wrong with it, and the sheet on which a person looks
+at it.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +28,8 @@ class Report:
         facts: What the dataset holds, by name.
         notes: What a user should know of how it was read.
         findings: All that is wrong; faults of files first.
-        sheet: (rows, columns, 3) float32 display values, the mesh over some frames; None where none could be drawn.
+        sheet: (rows, columns, 3) float32 display values, the mesh over some frames; None where none could be
+            drawn.
     """
 
     facts: dict[str, str]
@@ -47,10 +50,15 @@ class Report:
     def json(self) -> str:
         """The same as a JSON object: facts, notes, findings, and whether training can begin."""
         findings = [asdict(finding) for finding in self.findings]
-        return json.dumps({"trainable": not self.faults, "facts": self.facts, "notes": self.notes, "findings": findings}, indent=1)
+        return json.dumps(
+            {"trainable": not self.faults, "facts": self.facts, "notes": self.notes, "findings": findings},
+            indent=1,
+        )
 
 
-def check_dataset(root: Path, *, split: str = "dataset", flame: Path | None = None, quick: bool = False) -> Report:
+def check_dataset(
+    root: Path, *, split: str = "dataset", flame: Path | None = None, quick: bool = False
+) -> Report:
     """Read a dataset as training would, but to the end.
 
     Args:
@@ -75,7 +83,10 @@ def check_dataset(root: Path, *, split: str = "dataset", flame: Path | None = No
         findings += symptoms_of(sequence, views)
         if views and not quick:
             train = set(sequence.train)
-            parts = {frame.name: "train" if index in train else "test" for index, frame in enumerate(sequence.frames)}
+            parts = {
+                frame.name: "train" if index in train else "test"
+                for index, frame in enumerate(sequence.frames)
+            }
             sheet = mesh_sheet(views, sequence.template.faces, parts=parts if opened.divided else {})
     findings += unlisted(listing)
     return Report(facts, listing.notes, tuple(findings), sheet)

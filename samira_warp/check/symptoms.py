@@ -1,7 +1,7 @@
 """The usual mistakes, known by what they do to a tracked head before its camera.
 
-One mistake has many consequences (a head behind the camera is upside down and covers nothing as well), so that each kind of symptom is
-looked for only where those before it are absent.
+One mistake has many consequences (a head behind the camera is upside down and covers nothing as well), so
+that each kind of symptom is looked for only where those before it are absent.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ import torch
 from samira_warp.check.findings import OTHER_FLAME, Finding
 from samira_warp.check.matte_symptoms import matte_symptoms
 from samira_warp.check.views import View, project
-from samira_warp.constants import NEAR_PLANE
 from samira_warp.data import Sequence
 from samira_warp.data.vhap import CANONICAL_FILE
+from samira_warp.support.constants import NEAR_PLANE
 
 EYES_APART = 0.063
 """Metres between the eyes of an adult; a child of four has 0.05."""
@@ -28,7 +28,8 @@ _LEAST_HEIGHT, _MOST_HEIGHT = 0.15, 1.8
 """Heights of a head in the picture's that a person may have framed it by."""
 
 _STRETCHED, _MOST_STRETCHED = 3.0, 0.1
-"""A mesh whose edges are this many times longer or shorter than the template's, in this share of them, is torn: no identity does that."""
+"""A mesh whose edges are this many times longer or shorter than the template's, in this share of them, is
+torn: no identity does that."""
 
 
 def symptoms_of(sequence: Sequence, views: list[View]) -> list[Finding]:
@@ -40,7 +41,13 @@ def symptoms_of(sequence: Sequence, views: list[View]) -> list[Finding]:
     """
     if not views:
         return []
-    kinds: tuple[Callable[[Sequence, list[View]], Iterator[Finding]], ...] = (_intrinsics, _mesh, _place, matte_symptoms, _framing)
+    kinds: tuple[Callable[[Sequence, list[View]], Iterator[Finding]], ...] = (
+        _intrinsics,
+        _mesh,
+        _place,
+        matte_symptoms,
+        _framing,
+    )
     for kind in kinds:
         found = list(kind(sequence, views))
         if found:
@@ -58,7 +65,10 @@ def cameras_of(sequence: Sequence) -> str:
 def _intrinsics(sequence: Sequence, views: list[View]) -> Iterator[Finding]:
     """Shares of the picture's size where pixels are expected, and the other way round."""
     del views
-    cameras = {(f.camera.fx, f.camera.fy, f.camera.cx, f.camera.cy, f.camera.width, f.camera.height) for f in sequence.frames}
+    cameras = {
+        (f.camera.fx, f.camera.fy, f.camera.cx, f.camera.cy, f.camera.width, f.camera.height)
+        for f in sequence.frames
+    }
     for fx, fy, cx, cy, width, height in sorted(cameras):
         low, high, side = min(fx, fy), max(fx, fy), max(width, height)
         size = f"a picture of {width} x {height}"
@@ -67,13 +77,21 @@ def _intrinsics(sequence: Sequence, views: list[View]) -> Iterator[Finding]:
             remedy = "it looks like a share of the picture's size: write focal length and centre in pixels"
         elif high > _MOST_FOCAL * side:
             found = f"{high:.4g} for {size}"
-            remedy = "it looks like pixels where a share of the picture's size belongs: divide it by the width"
+            remedy = (
+                "it looks like pixels where a share of the picture's size belongs: divide it by the width"
+            )
         elif 0 < max(cx, cy) <= 1 and min(width, height) > 2:
             found = f"a centre of ({cx:.4g}, {cy:.4g}) for {size}"
             remedy = "it looks like a share of the picture's size: write it in pixels"
         else:
             continue
-        yield Finding("fault", f"{cameras_of(sequence)}: intrinsics", "a focal length and a centre in pixels", found, remedy)
+        yield Finding(
+            "fault",
+            f"{cameras_of(sequence)}: intrinsics",
+            "a focal length and a centre in pixels",
+            found,
+            remedy,
+        )
         return
 
 
@@ -82,17 +100,31 @@ def _mesh(sequence: Sequence, views: list[View]) -> Iterator[Finding]:
     del views
     template = sequence.template
     mean = torch.from_numpy(template.v_template).double()
-    head = mean + torch.from_numpy(template.shapedirs[..., : template.n_shape]).double() @ sequence.shape.double()
+    head = (
+        mean
+        + torch.from_numpy(template.shapedirs[..., : template.n_shape]).double() @ sequence.shape.double()
+    )
     if sequence.canonical_static_offset is not None:
         head = head + sequence.canonical_static_offset.double()
     regressor = torch.from_numpy(template.joint_regressor[3:5]).double()
-    in_template, tracked = (float((eyes[0] - eyes[1]).norm()) for eyes in (regressor @ mean, regressor @ head))
-    for place, apart in ((sequence.template_path, in_template), (sequence.frames[0].parameters_path, tracked)):
+    in_template, tracked = (
+        float((eyes[0] - eyes[1]).norm()) for eyes in (regressor @ mean, regressor @ head)
+    )
+    for place, apart in (
+        (sequence.template_path, in_template),
+        (sequence.frames[0].parameters_path, tracked),
+    ):
         factor = apart / EYES_APART
         if apart > 0 and not 0.5 <= factor <= 2.0:
             size = f"{factor:.3g} times too large" if factor > 1 else f"{1 / factor:.3g} times too small"
             remedy = f"divide lengths by {factor:.3g}" if place == sequence.template_path else OTHER_FLAME
-            yield Finding("fault", str(place), f"a head in metres, with eyes {EYES_APART} apart", f"{apart:.3g}: {size}", remedy)
+            yield Finding(
+                "fault",
+                str(place),
+                f"a head in metres, with eyes {EYES_APART} apart",
+                f"{apart:.3g}: {size}",
+                remedy,
+            )
             return
     faces = torch.from_numpy(template.faces).long()
     before, after = ((points[faces] - points[faces.roll(1, 1)]).norm(dim=-1) for points in (mean, head))
@@ -100,7 +132,13 @@ def _mesh(sequence: Sequence, views: list[View]) -> Iterator[Finding]:
     torn = ((stretch > _STRETCHED) | (stretch < 1 / _STRETCHED)).double().mean()
     if torn > _MOST_STRETCHED:
         found = f"one torn: {torn:.0%} of its edges are over {_STRETCHED:.0f} times as long or short as the template's"
-        yield Finding("fault", str(sequence.frames[0].parameters_path), "the head model's own identity and offsets", found, OTHER_FLAME)
+        yield Finding(
+            "fault",
+            str(sequence.frames[0].parameters_path),
+            "the head model's own identity and offsets",
+            found,
+            OTHER_FLAME,
+        )
 
 
 def _place(sequence: Sequence, views: list[View]) -> Iterator[Finding]:
@@ -108,14 +146,24 @@ def _place(sequence: Sequence, views: list[View]) -> Iterator[Finding]:
     behind = [view for view in views if np.median(view.points[:, 2]) <= NEAR_PLANE]
     if 2 * len(behind) >= len(views):
         yield Finding(
-            "fault", f"{cameras_of(sequence)}: poses", "the head before the camera", f"it behind in {_share(behind, views)}", _turn(behind)
+            "fault",
+            f"{cameras_of(sequence)}: poses",
+            "the head before the camera",
+            f"it behind in {_share(behind, views)}",
+            _turn(behind),
         )
         return
     before = [view for view in views if np.median(view.points[:, 2]) > NEAR_PLANE]
     turned = [view for view in before if view.up[1] > 0.5]
     if 2 * len(turned) >= len(before):
         remedy = "negate the x and y axes of the camera, or turn the pictures by 180 degrees as they were when they were tracked"
-        yield Finding("fault", f"{cameras_of(sequence)}: poses", "the head upright", f"it upside down in {_share(turned, views)}", remedy)
+        yield Finding(
+            "fault",
+            f"{cameras_of(sequence)}: poses",
+            "the head upright",
+            f"it upside down in {_share(turned, views)}",
+            remedy,
+        )
         return
     outside = [view for view in before if not _inside(view.pixels, view).any()]
     if 2 * len(outside) >= len(before):
@@ -132,7 +180,11 @@ def _turn(views: list[View]) -> str:
         pose = view.frame.camera.world_to_camera.double().numpy()
         change = mend(pose) @ np.linalg.inv(pose)
         points = view.points @ change[:3, :3].T + change[:3, 3]
-        return bool(np.median(points[:, 2]) > 0 and (change[:3, :3] @ view.up)[1] < 0 and _inside(project(points, view.frame), view).any())
+        return bool(
+            np.median(points[:, 2]) > 0
+            and (change[:3, :3] @ view.up)[1] < 0
+            and _inside(project(points, view.frame), view).any()
+        )
 
     mends: dict[str, Callable[[np.ndarray], np.ndarray]] = {
         "the camera's y and z axes are those of another convention (OpenCV's for OpenGL's): negate columns two and three of each matrix": (
@@ -149,13 +201,27 @@ def _turn(views: list[View]) -> str:
 
 
 def _framing(sequence: Sequence, views: list[View]) -> Iterator[Finding]:
-    """Heads much larger or smaller than pictures are framed by: all that can be said where there are no mattes."""
-    heights = np.array([np.ptp(view.pixels[:, 1]) / view.frame.camera.height for view in views if view.points[:, 2].min() > NEAR_PLANE])
+    """Heads much larger or smaller than pictures are framed by: all that can be said where there are no
+    mattes.
+    """
+    heights = np.array(
+        [
+            np.ptp(view.pixels[:, 1]) / view.frame.camera.height
+            for view in views
+            if view.points[:, 2].min() > NEAR_PLANE
+        ]
+    )
     typical = float(np.median(heights)) if len(heights) else _MOST_HEIGHT
     if _LEAST_HEIGHT <= typical <= _MOST_HEIGHT:
         return
     remedy = "look at the contact sheet: the camera's distance may be in another unit than metres (IMavatar's and HRAvatar's first are 4)"
-    yield Finding("warning", cameras_of(sequence), "a head about as high as the picture", f"{typical:.3g} times its height", remedy)
+    yield Finding(
+        "warning",
+        cameras_of(sequence),
+        "a head about as high as the picture",
+        f"{typical:.3g} times its height",
+        remedy,
+    )
 
 
 def _inside(pixels: np.ndarray, view: View) -> np.ndarray:

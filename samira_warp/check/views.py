@@ -9,12 +9,12 @@ import numpy as np
 import torch
 from PIL import Image, ImageDraw
 
-from samira_warp.constants import NEAR_PLANE
 from samira_warp.data import Frame, Sequence
 from samira_warp.data.pixels import load_mask
-from samira_warp.errors import UserError
 from samira_warp.head import HeadModel
 from samira_warp.head.model import NECK
+from samira_warp.support.constants import NEAR_PLANE
+from samira_warp.support.errors import UserError
 
 SAMPLES = 12
 """Frames that are looked at."""
@@ -70,7 +70,9 @@ def faces_before(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def coverage(view: View) -> np.ndarray | None:
-    """(h, w) float32 coverage of the picture, at most `_GRID` pixels a side; None where it has none or cannot be decoded."""
+    """(h, w) float32 coverage of the picture, at most `_GRID` pixels a side; None where it has none or cannot
+    be decoded.
+    """
     camera = view.frame.camera
     scale = min(_GRID / max(camera.width, camera.height), 1.0)
     size = {"width": max(round(camera.width * scale), 1), "height": max(round(camera.height * scale), 1)}

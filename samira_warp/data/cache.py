@@ -31,7 +31,8 @@ class _Stored(NamedTuple):
 class PixelCache:
     """The pixels of a sequence at one size; the least recently used are decoded again.
 
-    A frame has the same bits whether it was kept, fetched ahead or just decoded. Use as a context manager, or call ``close``.
+    A frame has the same bits whether it was kept, fetched ahead or just decoded. Use as a context manager, or
+    call ``close``.
 
     Args:
         frames: What ``index`` counts.
@@ -40,7 +41,9 @@ class PixelCache:
         max_bytes: Budget of the frames that are kept; those being fetched ahead come on top.
     """
 
-    def __init__(self, frames: Sequence[FrameFiles], *, width: int, height: int, max_bytes: int = 1 << 30) -> None:
+    def __init__(
+        self, frames: Sequence[FrameFiles], *, width: int, height: int, max_bytes: int = 1 << 30
+    ) -> None:
         self._frames = frames
         self._size = {"width": width, "height": height}
         self._max_bytes = max_bytes
@@ -53,7 +56,9 @@ class PixelCache:
     def __enter__(self) -> PixelCache:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
         self.close()
 
     def close(self) -> None:
@@ -62,7 +67,9 @@ class PixelCache:
         self._pending.clear()
 
     def prefetch(self, indices: Iterable[int]) -> None:
-        """Start decoding frames that will be asked for soon; a broken file is reported when its frame is asked for."""
+        """Start decoding frames that will be asked for soon; a broken file is reported when its frame is
+        asked for.
+        """
         with self._lock:
             for index in indices:
                 if index not in self._kept and index not in self._pending:
@@ -82,11 +89,17 @@ class PixelCache:
         if stored is None:
             stored = pending.result() if pending is not None else self._decode(index)
             self._keep(index, stored)
-        return FramePixels(_unpack(stored.image), _unpack(stored.mask), None if stored.albedo is None else _unpack(stored.albedo))
+        return FramePixels(
+            _unpack(stored.image),
+            _unpack(stored.mask),
+            None if stored.albedo is None else _unpack(stored.albedo),
+        )
 
     def _decode(self, index: int) -> _Stored:
         pixels = load_pixels(self._frames[index], **self._size)
-        return _Stored(_pack(pixels.image), _pack(pixels.mask), None if pixels.albedo is None else _pack(pixels.albedo))
+        return _Stored(
+            _pack(pixels.image), _pack(pixels.mask), None if pixels.albedo is None else _pack(pixels.albedo)
+        )
 
     def _keep(self, index: int, stored: _Stored) -> None:
         """Add a frame and drop the oldest beyond the budget; one frame larger than the budget is not kept."""

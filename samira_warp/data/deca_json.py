@@ -1,4 +1,6 @@
-"""What HRAvatar and IMavatar share, both tracked by an optimisation over DECA: cameras of an enlarged head, with OpenGL's axes."""
+"""What HRAvatar and IMavatar share, both tracked by an optimisation over DECA: cameras of an enlarged head,
+with OpenGL's axes.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,7 @@ import numpy as np
 
 from samira_warp.data.film import Intrinsics
 from samira_warp.data.numbers import numbers, world_to_camera
-from samira_warp.errors import UserError
+from samira_warp.support.errors import UserError
 
 POSE = {"rotation": slice(0, 3), "neck": slice(3, 6), "jaw": slice(6, 9), "eyes": slice(9, 15)}
 """Where the joints' axis-angles lie among the 15 numbers of a pose."""
@@ -17,7 +19,8 @@ _TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 def pose_in_metres(place: object, value: object, *, scale: float) -> np.ndarray:
-    """(4, 4) world to camera in metres with OpenCV's axes, of a ``world_mat`` that looks along -z at a head ``scale`` times as large.
+    """(4, 4) world to camera in metres with OpenCV's axes, of a ``world_mat`` that looks along -z at a head
+    ``scale`` times as large.
 
     Raises:
         UserError: ``value`` is no rigid transform.
@@ -27,8 +30,11 @@ def pose_in_metres(place: object, value: object, *, scale: float) -> np.ndarray:
     return matrix
 
 
-def intrinsics_of(place: object, value: object, *, pixels_of: float | None) -> Callable[[int, int, int], Intrinsics]:
-    """The camera of ``[fx, fy, cx, cy]``: shares of the picture's size, or pixels where the centre is beyond 1.
+def intrinsics_of(
+    place: object, value: object, *, pixels_of: float | None
+) -> Callable[[int, int, int], Intrinsics]:
+    """The camera of ``[fx, fy, cx, cy]``: shares of the picture's size, or pixels where the centre is beyond
+    1.
 
     A focal length may be negative: these trackers divide by a depth that is.
 
@@ -46,7 +52,13 @@ def intrinsics_of(place: object, value: object, *, pixels_of: float | None) -> C
     in_pixels = max(cx, cy) > 1
 
     def intrinsics(_: int, width: int, height: int) -> Intrinsics:
-        x, y = (width, height) if not in_pixels else (1.0, 1.0) if pixels_of is None else (width / pixels_of, height / pixels_of)
+        x, y = (
+            (width, height)
+            if not in_pixels
+            else (1.0, 1.0)
+            if pixels_of is None
+            else (width / pixels_of, height / pixels_of)
+        )
         return Intrinsics(abs(fx) * x, abs(fy) * y, cx * x, cy * y)
 
     return intrinsics

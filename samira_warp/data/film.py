@@ -1,4 +1,6 @@
-"""The listing of a film that one camera took and a tracker followed: pictures, masks and cameras by the frames' names."""
+"""The listing of a film that one camera took and a tracker followed: pictures, masks and cameras by the
+frames' names.
+"""
 
 from __future__ import annotations
 
@@ -11,13 +13,13 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from samira_warp.camera import Camera
 from samira_warp.data.frames import FrameFiles, Listing, listing_of
 from samira_warp.data.index import FileIndex
 from samira_warp.data.pictures import first_folder, key_of, natural, pictures_of
 from samira_warp.data.split import Split
-from samira_warp.errors import UserError
-from samira_warp.faults import all_of, each
+from samira_warp.geometry.camera import Camera
+from samira_warp.support.errors import UserError
+from samira_warp.support.faults import all_of, each
 
 
 class Intrinsics(NamedTuple):
@@ -40,9 +42,11 @@ class Film:
         mask_folders: The same for the head's coverage.
         names: Stems of the tracked frames' pictures, T in any order.
         paths: (T) the file of each frame's parameters.
-        world_to_camera: (T, 4, 4) each frame's pose as tracked; the camera is held at that of the first one by name.
+        world_to_camera: (T, 4, 4) each frame's pose as tracked; the camera is held at that of the first one
+            by name.
         intrinsics: Gives the camera of a frame from its number and its picture's width and height.
-        division: Names of the frames that train and of those that test by the dataset's own lists, None where it has none.
+        division: Names of the frames that train and of those that test by the dataset's own lists, None where
+            it has none.
         notes: What a user should know, a sentence each.
     """
 
@@ -65,7 +69,8 @@ class Listed(NamedTuple):
     numbers: list[int]
     """The number of each of the listing's frames among the film's."""
     pose: np.ndarray
-    """(4, 4) world to camera, where the camera is held: the first frame's that has a picture, however the frames are divided."""
+    """(4, 4) world to camera, where the camera is held: the first frame's that has a picture, however the
+    frames are divided."""
 
 
 def list_film(film: Film, split: Split, index: FileIndex) -> Listed:
@@ -77,8 +82,9 @@ def list_film(film: Film, split: Split, index: FileIndex) -> Listed:
         index: Remembers the pictures' sizes.
 
     Raises:
-        UserError: No folder of pictures is there, two tracked frames have one name, no picture belongs to a tracked frame, a picture
-            cannot be read, a mask has another shape than its picture, or a part is empty.
+        UserError: No folder of pictures is there, two tracked frames have one name, no picture belongs to a
+            tracked frame, a picture cannot be read, a mask has another shape than its picture, or a part is
+            empty.
     """
     matched, notes = _matched(film)
     masks = pictures_of(first_folder(film.root, film.mask_folders) or film.root / "fg_masks")
@@ -96,7 +102,9 @@ def list_film(film: Film, split: Split, index: FileIndex) -> Listed:
         width, height = index.picture_size(picture)
         camera = Camera(held, *film.intrinsics(number, width, height), width=width, height=height)
         key = key_of(picture.stem)
-        frame = FrameFiles(picture.stem, timestep, picture, masks.get(key), albedos.get(key), film.paths[number], camera)
+        frame = FrameFiles(
+            picture.stem, timestep, picture, masks.get(key), albedos.get(key), film.paths[number], camera
+        )
         others = [path for path in (frame.mask_path, frame.albedo_path) if path is not None]
         all_of(*(partial(check_shape, path, camera, index, said_by=picture.name) for path in others))
         return timestep, frame
@@ -104,7 +112,9 @@ def list_film(film: Film, split: Split, index: FileIndex) -> Listed:
     read = each(files, range(len(matched)))
     kept, frames = ([one[part] for one in read] for part in (0, 1))
     trains = None if trains is None else [trains[timestep] for timestep in kept]
-    listing = listing_of(film.root, split, frames, format=film.format, trains=trains, notes=(*film.notes, *notes))
+    listing = listing_of(
+        film.root, split, frames, format=film.format, trains=trains, notes=(*film.notes, *notes)
+    )
     return Listed(listing, [matched[timestep][0] for timestep in kept], pose)
 
 
@@ -112,11 +122,17 @@ def check_picture(path: Path, camera: Camera, index: FileIndex, *, said_by: str)
     """Raise UserError unless a picture has its camera's size."""
     size = index.picture_size(path)
     if size != (camera.width, camera.height):
-        raise UserError(path, expected=f"{camera.width} x {camera.height} pixels as {said_by} says", found="{} x {}".format(*size))
+        raise UserError(
+            path,
+            expected=f"{camera.width} x {camera.height} pixels as {said_by} says",
+            found="{} x {}".format(*size),
+        )
 
 
 def check_shape(path: Path, camera: Camera, index: FileIndex, *, said_by: str) -> None:
-    """Raise UserError unless a mask or albedo shows the camera's view, at any size: a pixel's rounding of one side is let pass."""
+    """Raise UserError unless a mask or albedo shows the camera's view, at any size: a pixel's rounding of one
+    side is let pass.
+    """
     width, height = index.picture_size(path)
     if abs(width * camera.height - height * camera.width) > max(width, height, camera.width, camera.height):
         wanted = f"{camera.width} x {camera.height} pixels as {said_by} says, or another size of that shape"
@@ -133,16 +149,22 @@ def _matched(film: Film) -> tuple[list[tuple[int, Path]], tuple[str, ...]]:
     keys = [key_of(name) for name in film.names]
     if len(set(keys)) < len(keys):
         twice = next(key for key in keys if keys.count(key) > 1)
-        raise UserError(film.paths[0], expected="tracked frames that differ in name", found=f"two named {twice}")
+        raise UserError(
+            film.paths[0], expected="tracked frames that differ in name", found=f"two named {twice}"
+        )
     order = sorted(range(len(keys)), key=lambda number: natural(keys[number]))
     matched = [(number, pictures[keys[number]]) for number in order if keys[number] in pictures]
     if not matched:
         first = f"; the first tracked frame is {film.names[0]!r}" if film.names else ""
-        raise UserError(folder, expected="pictures named as the tracked frames", found=f"none of {len(pictures)}{first}")
+        raise UserError(
+            folder, expected="pictures named as the tracked frames", found=f"none of {len(pictures)}{first}"
+        )
     notes = []
     untracked, unseen = sorted(set(pictures) - set(keys), key=natural), len(keys) - len(matched)
     if untracked:
-        notes.append(f"{len(untracked)} pictures of {folder.name} have no tracked parameters and are left out, the first is {untracked[0]}")
+        notes.append(
+            f"{len(untracked)} pictures of {folder.name} have no tracked parameters and are left out, the first is {untracked[0]}"
+        )
     if unseen:
         notes.append(f"{unseen} tracked frames have no picture in {folder.name} and are left out")
     return matched, tuple(notes)

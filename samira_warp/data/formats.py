@@ -15,7 +15,7 @@ from samira_warp.data.track import Reading
 from samira_warp.data.vhap import CANONICAL_FILE
 from samira_warp.data.vhap_heads import open_vhap
 from samira_warp.data.vhap_tracked import TRACKED, open_vhap_tracked
-from samira_warp.errors import UserError
+from samira_warp.support.errors import UserError
 
 
 class Format(NamedTuple):
@@ -41,15 +41,20 @@ def recognise(root: Path) -> Format:
     """What a folder is.
 
     Raises:
-        UserError: The folder is missing or of no known format; the message names the marks, and folders within it that have one.
+        UserError: The folder is missing or of no known format; the message names the marks, and folders
+            within it that have one.
     """
     if not root.is_dir():
-        raise UserError(root, expected="a dataset's folder", found="a file" if root.exists() else "no such folder")
+        raise UserError(
+            root, expected="a dataset's folder", found="a file" if root.exists() else "no such folder"
+        )
     known = _format_of(root)
     if known is not None:
         return known
     if (root / "flame_param").is_dir():
-        raise UserError(root / CANONICAL_FILE, expected="the canonical parameters of a VHAP export", found="no such file")
+        raise UserError(
+            root / CANONICAL_FILE, expected="the canonical parameters of a VHAP export", found="no such file"
+        )
     marks = "; ".join(f"{' or '.join(kind.marks)} ({kind.name})" for kind in FORMATS)
     within = [path.name for path in sorted(root.iterdir()) if path.is_dir() and _format_of(path) is not None]
     hint = f"none of them, but the folder {within[0]} in it is a dataset" if within else "none of them"

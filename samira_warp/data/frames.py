@@ -7,12 +7,12 @@ from pathlib import Path
 
 import torch
 
-from samira_warp.camera import Camera
 from samira_warp.data.split import Split, divide_timesteps
-from samira_warp.errors import UserError
-from samira_warp.faults import each
+from samira_warp.geometry.camera import Camera
 from samira_warp.head.model import FrameParameters
 from samira_warp.head.template import HeadTemplate
+from samira_warp.support.errors import UserError
+from samira_warp.support.faults import each
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,13 +74,20 @@ class Listing:
 
 
 def listing_of(
-    root: Path, split: Split, frames: list[FrameFiles], *, format: str, trains: list[bool] | None, notes: tuple[str, ...] = ()
+    root: Path,
+    split: Split,
+    frames: list[FrameFiles],
+    *,
+    format: str,
+    trains: list[bool] | None,
+    notes: tuple[str, ...] = (),
 ) -> Listing:
     """Order a dataset's frames and divide them.
 
     Args:
         root: The dataset's folder.
-        split: How to divide the frames; the dataset's own division of one that has none is the first 70 % of timesteps, as VHAP's.
+        split: How to divide the frames; the dataset's own division of one that has none is the first 70 % of
+            timesteps, as VHAP's.
         frames: In any order.
         format: What the folder is, in words.
         trains: Whether each frame trains by the dataset's own division, None where it has none.
@@ -98,7 +105,11 @@ def listing_of(
         train_steps, _ = divide_timesteps(rule, [frame.timestep for frame in frames])
         trains = [frame.timestep in train_steps for frame in frames]
     if all(trains) or not any(trains):
-        raise UserError(root, expected="frames that train and frames that test", found=f"{sum(trains)} of {len(trains)} that train")
+        raise UserError(
+            root,
+            expected="frames that train and frames that test",
+            found=f"{sum(trains)} of {len(trains)} that train",
+        )
     ordered = sorted(zip(frames, trains, strict=True), key=lambda entry: (entry[0].timestep, entry[0].name))
     return Listing(
         root=root,
@@ -117,7 +128,9 @@ def _check_names(root: Path, frames: list[FrameFiles]) -> None:
 
     def check(frame: FrameFiles) -> None:
         if frame.name in seen:
-            raise UserError(root, expected="image names that differ", found=f"{seen[frame.name]} and {frame.image_path}")
+            raise UserError(
+                root, expected="image names that differ", found=f"{seen[frame.name]} and {frame.image_path}"
+            )
         seen[frame.name] = frame.image_path
 
     each(check, frames)
@@ -132,7 +145,8 @@ class Sequence(Listing):
         shape: (n_shape,) float32 identity coefficients, the same for every frame.
         template: The head model that was tracked.
         template_path: Where it was read.
-        canonical_static_offset: (V, 3) float32 metres, None where the export has none; frames that repeat it share its memory.
+        canonical_static_offset: (V, 3) float32 metres, None where the export has none; frames that repeat it
+            share its memory.
     """
 
     frames: tuple[Frame, ...]

@@ -20,9 +20,9 @@ from samira_warp.data.numbers import numbers, stacked
 from samira_warp.data.pictures import stem_of
 from samira_warp.data.split import Split
 from samira_warp.data.track import Reading, Track, heads_of
-from samira_warp.errors import UserError
-from samira_warp.faults import each
-from samira_warp.files import read_json
+from samira_warp.io.files import read_json
+from samira_warp.support.errors import UserError
+from samira_warp.support.faults import each
 
 SCALES = {"tracked_params.json": 4.0, "tracked_params_v2.json": 1.0}
 """Size of the head in each version of the file, in metres; the first that is there counts, as in HRAvatar."""
@@ -36,12 +36,18 @@ def open_hravatar(root: Path, split: Split, index: FileIndex) -> Reading:
     """
     path = next(root / name for name in SCALES if (root / name).is_file())
     document = read_json(path)
-    entries = {name: entry for name, entry in document.items() if isinstance(entry, dict) and "fullposecode" in entry}
+    entries = {
+        name: entry for name, entry in document.items() if isinstance(entry, dict) and "fullposecode" in entry
+    }
     if not entries:
-        raise UserError(path, expected="an entry with fullposecode for each picture", found=f"{len(document)} others")
+        raise UserError(
+            path, expected="an entry with fullposecode for each picture", found=f"{len(document)} others"
+        )
     read = each(lambda name: (name, _row(path, name, entries[name], document, SCALES[path.name])), entries)
     names, rows = ([one[part] for one in read] for part in (0, 1))
-    track = Track(path=path, shape=numbers(f"{path}: shapecode", document.get("shapecode")), **stacked(path, rows))
+    track = Track(
+        path=path, shape=numbers(f"{path}: shapecode", document.get("shapecode")), **stacked(path, rows)
+    )
     film = Film(
         root=root,
         format=f"HRAvatar's {path.name}",
@@ -57,12 +63,16 @@ def open_hravatar(root: Path, split: Split, index: FileIndex) -> Reading:
     return Reading(listed.listing, lambda template: heads_of(track, template, listed.pose))
 
 
-def _row(path: Path, name: str, entry: dict[str, Any], document: dict[str, Any], scale: float) -> dict[str, np.ndarray]:
+def _row(
+    path: Path, name: str, entry: dict[str, Any], document: dict[str, Any], scale: float
+) -> dict[str, np.ndarray]:
     place = f"{path}: {name}"
     return {
         "expression": numbers(f"{place}: expcode", entry.get("expcode")),
         **pose_parts(f"{place}: fullposecode", entry["fullposecode"]),
         "translation": numbers(f"{place}: translation", entry.get("translation", [0.0] * 3), (3,)),
         "eyelids": numbers(f"{place}: eyelids", entry.get("eyelids", [0.0] * 2), (2,)),
-        "world_to_camera": pose_in_metres(f"{place}: world_mat", entry.get("world_mat", document.get("world_mat")), scale=scale),
+        "world_to_camera": pose_in_metres(
+            f"{place}: world_mat", entry.get("world_mat", document.get("world_mat")), scale=scale
+        ),
     }

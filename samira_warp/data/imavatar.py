@@ -19,9 +19,9 @@ from samira_warp.data.numbers import numbers, stacked
 from samira_warp.data.pictures import stem_of
 from samira_warp.data.split import Split
 from samira_warp.data.track import Reading, Track, heads_of
-from samira_warp.errors import UserError
-from samira_warp.faults import each
-from samira_warp.files import read_json
+from samira_warp.io.files import read_json
+from samira_warp.support.errors import UserError
+from samira_warp.support.faults import each
 
 PARAMETERS = "flame_params.json"
 """What marks the format."""

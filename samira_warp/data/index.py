@@ -1,6 +1,8 @@
-"""What was read of a dataset's files, kept in the user's cache folder, so that a long sequence opens in seconds the second time.
+"""What was read of a dataset's files, kept in the user's cache folder, so that a long sequence opens in
+seconds the second time.
 
-Every file is looked at on every opening; what was read of it counts only while its size and time are the same.
+Every file is looked at on every opening; what was read of it counts only while its size and time are the
+same.
 """
 
 from __future__ import annotations
@@ -19,8 +21,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from samira_warp.files import cache_folder
-from samira_warp.images import image_size
+from samira_warp.io.files import cache_folder
+from samira_warp.io.images import image_size
 
 FEWEST_FILES = 1000
 """Fewer are read again as fast as an index of them."""
@@ -28,8 +30,8 @@ FEWEST_FILES = 1000
 _VERSION = 1
 _LARGE = 4096
 _MOST_LARGE = 64
-"""Arrays of more numbers than `_LARGE` (offsets of all vertices) are kept once for the files that share them; a dataset with more than
-`_MOST_LARGE` of them has one for each frame, and those are left in their files."""
+"""Arrays of more numbers than `_LARGE` (offsets of all vertices) are kept once for the files that share them;
+a dataset with more than `_MOST_LARGE` of them has one for each frame, and those are left in their files."""
 
 
 class Stamp(NamedTuple):
@@ -54,7 +56,9 @@ class FileIndex:
 
     def __init__(self, root: Path) -> None:
         self._prefix = f"{root}{os.sep}"
-        name = hashlib.blake2b(str(root.resolve()).encode("utf-8", "surrogateescape"), digest_size=16).hexdigest()
+        name = hashlib.blake2b(
+            str(root.resolve()).encode("utf-8", "surrogateescape"), digest_size=16
+        ).hexdigest()
         self._path = cache_folder() / "index" / f"{name}.npz"
         self._sizes: dict[str, tuple[Stamp, tuple[int, int]]] = {}
         self._rows: dict[str, _Row] = {}
@@ -75,7 +79,9 @@ class FileIndex:
         return size
 
     def arrays(self, path: Path, read: Callable[[Path], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-        """What ``read`` gives for a file of a frame's parameters, as float32; arrays of anything but numbers as they are."""
+        """What ``read`` gives for a file of a frame's parameters, as float32; arrays of anything but numbers
+        as they are.
+        """
         name, stamp = self._name(path), _stamp(path)
         known = self._rows.get(name)
         if known is not None and known.stamp == stamp:
@@ -88,7 +94,9 @@ class FileIndex:
         return self._unpack(self._rows[name])
 
     def save(self) -> None:
-        """Keep the index; where the cache folder cannot be written, the next opening reads the files again."""
+        """Keep the index; where the cache folder cannot be written, the next opening reads the files
+        again.
+        """
         if not self._changed or max(len(self._sizes), len(self._rows)) < FEWEST_FILES:
             return
         fresh = self._path.with_name(f".{self._path.name}.{os.getpid()}")
@@ -134,7 +142,9 @@ class FileIndex:
         """Rows are stacked by layout; the layouts of a dataset's files are mostly one."""
         rows = {} if len(self._large) > _MOST_LARGE else self._rows
         content = {"version": np.asarray(_VERSION), "sizes/names": np.array(list(self._sizes), np.str_)}
-        content["sizes/values"] = np.array([(*stamp, *size) for stamp, size in self._sizes.values()], np.int64).reshape(-1, 4)
+        content["sizes/values"] = np.array(
+            [(*stamp, *size) for stamp, size in self._sizes.values()], np.int64
+        ).reshape(-1, 4)
         for number, layout in enumerate(dict.fromkeys(row.layout for row in rows.values())):
             members = {name: row for name, row in rows.items() if row.layout == layout}
             content[f"rows/{number}/layout"] = np.asarray(layout)
@@ -152,12 +162,20 @@ class FileIndex:
                 content = dict(archive)
             if content["version"] != _VERSION:
                 return
-            for name, (*stamp, width, height) in zip(content["sizes/names"].tolist(), content["sizes/values"].tolist(), strict=True):
+            for name, (*stamp, width, height) in zip(
+                content["sizes/names"].tolist(), content["sizes/values"].tolist(), strict=True
+            ):
                 self._sizes[name] = Stamp(*stamp), (width, height)
-            self._large = {key.removeprefix("large/"): array for key, array in content.items() if key.startswith("large/")}
+            self._large = {
+                key.removeprefix("large/"): array
+                for key, array in content.items()
+                if key.startswith("large/")
+            }
             number = 0
             while f"rows/{number}/layout" in content:
-                layout, names, stamps, numbers = (content[f"rows/{number}/{part}"] for part in ("layout", "names", "stamps", "numbers"))
+                layout, names, stamps, numbers = (
+                    content[f"rows/{number}/{part}"] for part in ("layout", "names", "stamps", "numbers")
+                )
                 for name, stamp, row in zip(names.tolist(), stamps.tolist(), numbers, strict=True):
                     self._rows[name] = _Row(Stamp(*stamp), str(layout), row)
                 number += 1

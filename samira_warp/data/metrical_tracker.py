@@ -1,4 +1,5 @@
-"""metrical-tracker's output and the INSTA datasets made of it: a checkpoint of every frame beside the pictures.
+"""metrical-tracker's output and the INSTA datasets made of it: a checkpoint of every frame beside the
+pictures.
 
     checkpoint/00001.frame   what torch.save wrote: flame (exp, shape, eyes, jaw, eyelids), opencv (R, t, K), img_size
     images/00001.png         or input/; RGBA pictures bring their coverage
@@ -20,10 +21,10 @@ from samira_warp.data.numbers import check_rotation, numbers, stacked
 from samira_warp.data.pictures import key_of, stem_of
 from samira_warp.data.split import Split
 from samira_warp.data.track import Reading, Track, heads_of
-from samira_warp.errors import UserError
-from samira_warp.faults import each
-from samira_warp.files import read_json
-from samira_warp.pickles import arrays_of, read_torch_archive
+from samira_warp.io.files import read_json
+from samira_warp.io.pickles import arrays_of, read_torch_archive
+from samira_warp.support.errors import UserError
+from samira_warp.support.faults import each
 
 FRAMES = "checkpoint/*.frame"
 """What marks the format."""
@@ -38,9 +39,12 @@ def open_metrical_tracker(root: Path, split: Split, index: FileIndex) -> Reading
     """Open a folder with metrical-tracker's checkpoints.
 
     Raises:
-        UserError: A file is missing or broken, a value has a wrong shape, or no picture belongs to a checkpoint.
+        UserError: A file is missing or broken, a value has a wrong shape, or no picture belongs to a
+            checkpoint.
     """
-    read = each(lambda path: (path, _checked(path, index.arrays(path, _read_frame))), sorted(root.glob(FRAMES)))
+    read = each(
+        lambda path: (path, _checked(path, index.arrays(path, _read_frame))), sorted(root.glob(FRAMES))
+    )
     read = each(lambda one: _of_one_person(*one, read[0]), read)
     paths, payloads = ([one[part] for one in read] for part in (0, 1))
     rows = stacked(paths[0].parent, payloads)
@@ -88,7 +92,9 @@ def _track(path: Path, rows: dict[str, np.ndarray]) -> Track:
 
 
 def rotation_vectors(rows: np.ndarray) -> np.ndarray:
-    """(T, 3) axis-angle of (T, 6) rotations given by the first two rows of their matrix, made orthonormal (Zhou et al. 2019)."""
+    """(T, 3) axis-angle of (T, 6) rotations given by the first two rows of their matrix, made orthonormal
+    (Zhou et al. 2019).
+    """
     first = rows[:, :3] / np.linalg.norm(rows[:, :3], axis=1, keepdims=True)
     second = rows[:, 3:] - (first * rows[:, 3:]).sum(axis=1, keepdims=True) * first
     second /= np.linalg.norm(second, axis=1, keepdims=True)
@@ -105,17 +111,27 @@ def _read_frame(path: Path) -> dict[str, np.ndarray]:
     flame = payload["flame"]
     if isinstance(flame, dict):
         flame = {"eyelids": [0.0, 0.0], **flame}  # early versions of the tracker have none
-    return size | arrays_of(path, flame, tuple(_FLAME_SIZES)) | arrays_of(path, payload["opencv"], tuple(_CAMERA_SHAPES))
+    return (
+        size
+        | arrays_of(path, flame, tuple(_FLAME_SIZES))
+        | arrays_of(path, payload["opencv"], tuple(_CAMERA_SHAPES))
+    )
 
 
 def _checked(path: Path, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
     """The same arrays without their axes of one frame, of the right shapes."""
-    checked = {key: numbers(f"{path}: flame.{key}", arrays[key], None if size is None else (size,)) for key, size in _FLAME_SIZES.items()}
+    checked = {
+        key: numbers(f"{path}: flame.{key}", arrays[key], None if size is None else (size,))
+        for key, size in _FLAME_SIZES.items()
+    }
     for key, shape in _CAMERA_SHAPES.items():
         checked[key] = numbers(f"{path}: opencv.{key}", arrays[key], shape)
     check_rotation(f"{path}: opencv.R", checked["R"])
     checked["img_size"] = numbers(f"{path}: img_size", arrays["img_size"], (2,))
-    for place, value in (("img_size", checked["img_size"].min()), ("opencv.K", checked["K"].diagonal()[:2].min())):
+    for place, value in (
+        ("img_size", checked["img_size"].min()),
+        ("opencv.K", checked["K"].diagonal()[:2].min()),
+    ):
         if value <= 0:
             raise UserError(f"{path}: {place}", expected="positive numbers", found=value)
     for key in ("jaw", "eyes"):
@@ -125,7 +141,9 @@ def _checked(path: Path, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]
 
 
 def _of_one_person(path: Path, arrays: dict[str, np.ndarray], first: _Read) -> _Read:
-    """The same file and arrays, if their identity is the first one's; coefficients are of order 1: float32 text round trips lose 1e-5."""
+    """The same file and arrays, if their identity is the first one's; coefficients are of order 1: float32
+    text round trips lose 1e-5.
+    """
     shape, wanted = arrays["shape"], first[1]["shape"]
     if shape.shape != wanted.shape or not np.allclose(shape, wanted, atol=1e-5):
         raise UserError(f"{path}: flame.shape", expected=f"the identity of {first[0].name}", found="another")
@@ -140,7 +158,11 @@ def _own_division(root: Path) -> tuple[set[str], set[str]] | None:
     parts = []
     for path in paths:
         frames = read_json(path).get("frames")
-        if not isinstance(frames, list) or not all(isinstance(frame, dict) and isinstance(frame.get("file_path"), str) for frame in frames):
-            raise UserError(path, expected="a list 'frames' of objects with a file_path", found="something else")
+        if not isinstance(frames, list) or not all(
+            isinstance(frame, dict) and isinstance(frame.get("file_path"), str) for frame in frames
+        ):
+            raise UserError(
+                path, expected="a list 'frames' of objects with a file_path", found="something else"
+            )
         parts.append({key_of(stem_of(frame["file_path"])) for frame in frames})
     return parts[0], parts[1]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from samira_warp.errors import UserError
+from samira_warp.support.errors import UserError
 
 
 def numbers(place: object, value: object, shape: tuple[int, ...] | None = None) -> np.ndarray:
@@ -33,7 +33,9 @@ def numbers(place: object, value: object, shape: tuple[int, ...] | None = None) 
     if flat.ndim != 1 if shape is None else flat.shape != tuple(size for size in shape if size != 1):
         raise UserError(place, expected=wanted, found=f"shape {array.shape}")
     if not np.isfinite(flat).all():
-        raise UserError(place, expected="finite numbers", found=f"{np.count_nonzero(~np.isfinite(flat))} that are not")
+        raise UserError(
+            place, expected="finite numbers", found=f"{np.count_nonzero(~np.isfinite(flat))} that are not"
+        )
     return flat.reshape(flat.shape if shape is None else shape).astype(np.float64)
 
 
@@ -46,7 +48,11 @@ def stacked(path: Path, rows: list[dict[str, np.ndarray]]) -> dict[str, np.ndarr
     for row in rows:
         for key, value in row.items():
             if value.shape != rows[0][key].shape:
-                raise UserError(f"{path}: {key}", expected=f"{rows[0][key].size} numbers in every frame", found=f"{value.size} in one")
+                raise UserError(
+                    f"{path}: {key}",
+                    expected=f"{rows[0][key].size} numbers in every frame",
+                    found=f"{value.size} in one",
+                )
     return {key: np.stack([row[key] for row in rows]) for key in rows[0]}
 
 
@@ -63,6 +69,8 @@ def world_to_camera(place: object, value: object) -> np.ndarray:
 
 
 def check_rotation(place: object, rotation: np.ndarray) -> None:
-    """Raise UserError unless a (3, 3) matrix is a rotation; 1e-3 lets pass what was written with four decimals."""
+    """Raise UserError unless a (3, 3) matrix is a rotation; 1e-3 lets pass what was written with four
+    decimals.
+    """
     if np.abs(rotation.T @ rotation - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0:
         raise UserError(place, expected="a rotation", found=rotation.round(4).tolist())

@@ -7,13 +7,15 @@ import re
 import unicodedata
 from pathlib import Path
 
-from samira_warp.errors import UserError
+from samira_warp.support.errors import UserError
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
 
 
 def key_of(name: str) -> str:
-    """A stem as pictures and parameters are matched by it: file systems spell accents in one or two characters."""
+    """A stem as pictures and parameters are matched by it: file systems spell accents in one or two
+    characters.
+    """
     return unicodedata.normalize("NFC", name)
 
 
@@ -24,7 +26,9 @@ def stem_of(name: str) -> str:
 
 def natural(name: str) -> tuple[tuple[int, int, str], ...]:
     """Sorts numbers within names by value: 2 before 10."""
-    return tuple((1, int(part), "") if part.isdecimal() else (0, 0, part) for part in re.split(r"(\d+)", name))
+    return tuple(
+        (1, int(part), "") if part.isdecimal() else (0, 0, part) for part in re.split(r"(\d+)", name)
+    )
 
 
 def pictures_of(folder: Path) -> dict[str, Path]:
@@ -44,7 +48,9 @@ def pictures_of(folder: Path) -> dict[str, Path]:
             continue
         key = key_of(stem)
         if key in found:
-            raise UserError(folder / name, expected="one picture of a name", found=f"{found[key].name} as well")
+            raise UserError(
+                folder / name, expected="one picture of a name", found=f"{found[key].name} as well"
+            )
         found[key] = folder / name
     return found
 

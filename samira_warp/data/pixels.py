@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from samira_warp.data.frames import FrameFiles
-from samira_warp.images import composite_on_white, read_image, read_on_white, read_rgba, resize_box
+from samira_warp.io.images import composite_on_white, read_image, read_on_white, read_rgba, resize_box
 
 BACKGROUND_TOLERANCE = 4.0 / 255.0
 """Uncovered pixels this close to one colour are an export's background; JPEG's rounding stays within it."""
@@ -30,14 +30,19 @@ class FramePixels:
 
     def to(self, device: torch.device | str) -> FramePixels:
         """The same pixels on ``device``."""
-        return FramePixels(self.image.to(device), self.mask.to(device), None if self.albedo is None else self.albedo.to(device))
+        return FramePixels(
+            self.image.to(device),
+            self.mask.to(device),
+            None if self.albedo is None else self.albedo.to(device),
+        )
 
 
 def load_pixels(frame: FrameFiles, *, width: int, height: int) -> FramePixels:
     """Decode a frame, lay it on white in display values and box-resize it.
 
-    Coverage is the mask file, at the image's size, else the image's alpha channel, else one everywhere. An image with an alpha channel is
-    composited by it; one without was composited by the export, and its background is replaced by white (see ``on_white``).
+    Coverage is the mask file, at the image's size, else the image's alpha channel, else one everywhere. An
+    image with an alpha channel is composited by it; one without was composited by the export, and its
+    background is replaced by white (see ``on_white``).
 
     Args:
         frame: The frame.
@@ -50,7 +55,9 @@ def load_pixels(frame: FrameFiles, *, width: int, height: int) -> FramePixels:
     colour, alpha = read_rgba(frame.image_path)
     mask = alpha
     if frame.mask_path is not None:
-        mask = resize_box(read_image(frame.mask_path, channels=1)[..., 0], width=colour.shape[1], height=colour.shape[0])
+        mask = resize_box(
+            read_image(frame.mask_path, channels=1)[..., 0], width=colour.shape[1], height=colour.shape[0]
+        )
     if alpha is not None:
         colour = composite_on_white(colour, alpha)
     elif mask is not None:
@@ -71,15 +78,24 @@ def load_mask(frame: FrameFiles, *, width: int, height: int) -> torch.Tensor | N
     Raises:
         UserError: The file is missing or cannot be decoded.
     """
-    mask = read_rgba(frame.image_path)[1] if frame.mask_path is None else read_image(frame.mask_path, channels=1)[..., 0]
-    return None if mask is None else torch.from_numpy(np.ascontiguousarray(resize_box(mask, width=width, height=height)))
+    mask = (
+        read_rgba(frame.image_path)[1]
+        if frame.mask_path is None
+        else read_image(frame.mask_path, channels=1)[..., 0]
+    )
+    return (
+        None
+        if mask is None
+        else torch.from_numpy(np.ascontiguousarray(resize_box(mask, width=width, height=height)))
+    )
 
 
 def on_white(colour: np.ndarray, mask: np.ndarray) -> np.ndarray:
     """Replace the background of an opaque image by white.
 
-    Where the uncovered pixels are all of one colour B, the image is m C + (1 - m) B, and adding (1 - m) (1 - B) is exact: an image
-    already on white stays as it is. Otherwise the scene is still behind the head, and the mask is the only matte there is.
+    Where the uncovered pixels are all of one colour B, the image is m C + (1 - m) B, and adding (1 - m) (1 -
+    B) is exact: an image already on white stays as it is. Otherwise the scene is still behind the head, and
+    the mask is the only matte there is.
 
     Args:
         colour: (H, W, 3) display values.

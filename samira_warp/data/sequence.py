@@ -10,11 +10,11 @@ from samira_warp.data.frames import Frame, FrameFiles, Listing, Sequence
 from samira_warp.data.index import FileIndex
 from samira_warp.data.split import parse_split
 from samira_warp.data.track import Reading
-from samira_warp.errors import UserError
-from samira_warp.faults import all_of
 from samira_warp.head.flame import read_head
 from samira_warp.head.model import FrameParameters
 from samira_warp.head.template import HeadTemplate, read_template
+from samira_warp.support.errors import UserError
+from samira_warp.support.faults import all_of
 
 
 def open_listing(root: Path, *, split: str = "dataset") -> Listing:
@@ -25,7 +25,8 @@ def open_listing(root: Path, *, split: str = "dataset") -> Listing:
         split: ``train``, ``test`` or ``dataset`` (the dataset's own), a fraction, or ``last:N``.
 
     Raises:
-        UserError: The folder is missing or of no known format, or anything that it lists is missing or does not fit.
+        UserError: The folder is missing or of no known format, or anything that it lists is missing or does
+            not fit.
     """
     reading, index = _open(root, split)
     index.save()
@@ -41,9 +42,12 @@ def open_sequence(root: Path, *, split: str = "dataset", flame: Path | None = No
         flame: The user's own FLAME file or a template, for a dataset that brings no ``template.npz``.
 
     Raises:
-        UserError: As in open_listing; also where the template or any parameter is missing, of a wrong shape or not finite.
+        UserError: As in open_listing; also where the template or any parameter is missing, of a wrong shape
+            or not finite.
     """
-    (reading, index), (template, template_path) = all_of(lambda: _open(root, split), lambda: _template(root, flame))
+    (reading, index), (template, template_path) = all_of(
+        lambda: _open(root, split), lambda: _template(root, flame)
+    )
     heads = reading.heads(template)
     index.save()
     listing = reading.listing
@@ -51,7 +55,10 @@ def open_sequence(root: Path, *, split: str = "dataset", flame: Path | None = No
         root=root,
         format=listing.format,
         split=listing.split,
-        frames=tuple(_with_parameters(frame, head) for frame, head in zip(listing.frames, heads.parameters, strict=True)),
+        frames=tuple(
+            _with_parameters(frame, head)
+            for frame, head in zip(listing.frames, heads.parameters, strict=True)
+        ),
         train=listing.train,
         test=listing.test,
         notes=(*listing.notes, *heads.notes),

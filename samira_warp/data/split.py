@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from samira_warp.errors import UserError
+from samira_warp.support.errors import UserError
 
 GRAMMAR = "train or test (the dataset's own split), a fraction between 0 and 1 for the first share that trains, or last:N for N test frames"
 
@@ -17,8 +17,10 @@ class Split:
 
     Attributes:
         text: As the user wrote it.
-        kind: "dataset" keeps the dataset's own lists, "fraction" trains on the first share, "last" tests on the last timesteps.
-        value: The share of timesteps that trains, the number of timesteps that tests, or 0 for the dataset's own.
+        kind: "dataset" keeps the dataset's own lists, "fraction" trains on the first share, "last" tests on
+            the last timesteps.
+        value: The share of timesteps that trains, the number of timesteps that tests, or 0 for the dataset's
+            own.
         part: The part that evaluate and render take.
     """
 
@@ -29,7 +31,8 @@ class Split:
 
 
 def parse_split(text: str) -> Split:
-    """Read a SPLIT: ``dataset``, ``train`` or ``test`` (all three the dataset's own), ``0.7``, or ``last:350``.
+    """Read a SPLIT: ``dataset``, ``train`` or ``test`` (all three the dataset's own), ``0.7``, or
+    ``last:350``.
 
     Raises:
         UserError: ``text`` is none of these.
@@ -59,7 +62,13 @@ def divide_timesteps(split: Split, timesteps: Sequence[int]) -> tuple[set[int], 
         UserError: One of the two is empty.
     """
     ordered = sorted(set(timesteps))
-    first_test = round(split.value * len(ordered)) if split.kind == "fraction" else len(ordered) - int(split.value)
+    first_test = (
+        round(split.value * len(ordered)) if split.kind == "fraction" else len(ordered) - int(split.value)
+    )
     if not 0 < first_test < len(ordered):
-        raise UserError(f"--split {split.text}", expected="train and test frames", found=f"an empty part of {len(ordered)} timesteps")
+        raise UserError(
+            f"--split {split.text}",
+            expected="train and test frames",
+            found=f"an empty part of {len(ordered)} timesteps",
+        )
     return set(ordered[:first_test]), set(ordered[first_test:])

@@ -1,4 +1,6 @@
-"""A still head before a moving camera becomes a moving head before a still camera: light must not be glued to the head."""
+"""A still head before a moving camera becomes a moving head before a still camera: light must not be glued to
+the head.
+"""
 
 from __future__ import annotations
 
@@ -18,10 +20,12 @@ def hold_camera(
     shape: np.ndarray,
     expression: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Move the camera's motion into the head's: each head is seen by one camera that stands still as it was by its own.
+    """Move the camera's motion into the head's: each head is seen by one camera that stands still as it was
+    by its own.
 
-    With world-to-camera transforms E_t, and E_0 of the one that stands still, the head moves by H_t = E_0^-1 E_t. Its root turns by R
-    about the joint j and is then moved by T, so that x' = H (R (x - j) + j + T) is the turn H_R R about j, moved by H_R (j + T) + H_T - j.
+    With world-to-camera transforms E_t, and E_0 of the one that stands still, the head moves by H_t = E_0^-1
+    E_t. Its root turns by R about the joint j and is then moved by T, so that x' = H (R (x - j) + j + T) is
+    the turn H_R R about j, moved by H_R (j + T) + H_T - j.
 
     Args:
         rotation: (T, 3) axis-angle of the root joint.
@@ -44,4 +48,6 @@ def hold_camera(
     joint = rest + expression @ by_shape[:, template.n_shape :].T
     motion = np.linalg.inv(camera) @ world_to_camera
     turn = Rotation.from_matrix(motion[:, :3, :3])
-    return (turn * Rotation.from_rotvec(rotation)).as_rotvec(), turn.apply(joint + translation) + motion[:, :3, 3] - joint
+    return (turn * Rotation.from_rotvec(rotation)).as_rotvec(), turn.apply(joint + translation) + motion[
+        :, :3, 3
+    ] - joint

@@ -1,4 +1,6 @@
-"""What a tracker found in every frame of one camera's film, in metres and radians, whatever format it was written in."""
+"""What a tracker found in every frame of one camera's film, in metres and radians, whatever format it was
+written in.
+"""
 
 from __future__ import annotations
 
@@ -12,11 +14,11 @@ import torch
 
 from samira_warp.data.frames import Listing
 from samira_warp.data.still_camera import hold_camera
-from samira_warp.errors import UserError
-from samira_warp.faults import all_of
 from samira_warp.head.flame import EYELIDS
 from samira_warp.head.model import FrameParameters
 from samira_warp.head.template import HeadTemplate
+from samira_warp.support.errors import UserError
+from samira_warp.support.faults import all_of
 
 
 class Heads(NamedTuple):
@@ -94,16 +96,22 @@ def fitted_expression(track: Track, template: HeadTemplate) -> tuple[np.ndarray,
     if template.expression_names[-2:] != EYELIDS:
         left_out = track.eyelids is not None and bool(np.any(track.eyelids))
         note = "the tracked eyelids are left out: l_eyelid.npy and r_eyelid.npy are not beside the FLAME file"
-        return pad_coefficients(place, track.expression, template.n_expression, template), (note,) if left_out else ()
+        return pad_coefficients(place, track.expression, template.n_expression, template), (
+            note,
+        ) if left_out else ()
     lids = np.zeros((len(track.expression), 2)) if track.eyelids is None else track.eyelids
-    return np.concatenate([pad_coefficients(place, track.expression, template.n_expression - 2, template), lids], axis=1), ()
+    return np.concatenate(
+        [pad_coefficients(place, track.expression, template.n_expression - 2, template), lids], axis=1
+    ), ()
 
 
 def pad_coefficients(place: object, values: np.ndarray, count: int, template: HeadTemplate) -> np.ndarray:
-    """Values (..., n) with zeros up to ``count``: trackers use the first so many of FLAME's shapes, which fall in importance.
+    """Values (..., n) with zeros up to ``count``: trackers use the first so many of FLAME's shapes, which
+    fall in importance.
 
     Raises:
-        UserError: There are more values than shapes, or fewer although each shape has a name and so a meaning of its own.
+        UserError: There are more values than shapes, or fewer although each shape has a name and so a meaning
+            of its own.
     """
     found = values.shape[-1]
     if found > count or (found < count and template.names_expressions):
@@ -118,11 +126,22 @@ def heads_of(track: Track, template: HeadTemplate, camera: np.ndarray) -> Heads:
     Raises:
         UserError: As in fitted_shape.
     """
-    shape, (expression, notes) = all_of(lambda: fitted_shape(track, template), lambda: fitted_expression(track, template))
-    rotation, translation = hold_camera(
-        track.rotation, track.translation, track.world_to_camera, camera, template=template, shape=shape, expression=expression
+    shape, (expression, notes) = all_of(
+        lambda: fitted_shape(track, template), lambda: fitted_expression(track, template)
     )
-    rows = [torch.from_numpy(np.ascontiguousarray(part, np.float32)) for part in (translation, rotation, track.neck, track.jaw, track.eyes)]
+    rotation, translation = hold_camera(
+        track.rotation,
+        track.translation,
+        track.world_to_camera,
+        camera,
+        template=template,
+        shape=shape,
+        expression=expression,
+    )
+    rows = [
+        torch.from_numpy(np.ascontiguousarray(part, np.float32))
+        for part in (translation, rotation, track.neck, track.jaw, track.eyes)
+    ]
     expressions = torch.from_numpy(np.ascontiguousarray(expression, np.float32))
     parameters = tuple(FrameParameters(*values) for values in zip(*rows, expressions, strict=True))
     return Heads(torch.from_numpy(shape.astype(np.float32)), parameters, None, notes)

@@ -1,6 +1,7 @@
 """The listing of a VHAP export (the input of GaussianAvatars): transforms, pictures, masks and cameras.
 
-Every file that the listing names is looked for, and every picture's header is compared with the camera, before anything is returned.
+Every file that the listing names is looked for, and every picture's header is compared with the camera,
+before anything is returned.
 """
 
 from __future__ import annotations
@@ -14,15 +15,15 @@ from typing import Any
 import numpy as np
 import torch
 
-from samira_warp.camera import Camera
 from samira_warp.data.film import check_picture, check_shape
 from samira_warp.data.frames import FrameFiles, Listing, listing_of
 from samira_warp.data.index import FileIndex
 from samira_warp.data.numbers import check_rotation
 from samira_warp.data.pictures import key_of, pictures_of
 from samira_warp.data.split import Split
-from samira_warp.errors import UserError
-from samira_warp.faults import all_of, each
+from samira_warp.geometry.camera import Camera
+from samira_warp.support.errors import UserError
+from samira_warp.support.faults import all_of, each
 
 CANONICAL_FILE = "canonical_flame_param.npz"
 """Its presence is how GaussianAvatars knows the format, and so do we."""
@@ -31,8 +32,8 @@ CANONICAL_FILE = "canonical_flame_param.npz"
 def list_vhap(root: Path, split: Split, index: FileIndex) -> Listing:
     """List a VHAP export's frames and divide them.
 
-    The dataset's own split reads transforms_train.json and transforms_test.json (validation views belong to neither part);
-    any other reads transforms.json.
+    The dataset's own split reads transforms_train.json and transforms_test.json (validation views belong to
+    neither part); any other reads transforms.json.
 
     Args:
         root: The export's folder.
@@ -40,17 +41,24 @@ def list_vhap(root: Path, split: Split, index: FileIndex) -> Listing:
         index: Remembers the pictures' sizes.
 
     Raises:
-        UserError: A file or key is missing, a value has a wrong type or shape, an image's size is not its camera's, or a part is empty.
+        UserError: A file or key is missing, a value has a wrong type or shape, an image's size is not its
+            camera's, or a part is empty.
     """
     reader = _Reader(root, index)
     trains: list[bool] | None = None
     if split.kind != "dataset":
         frames = reader.transforms("transforms.json")
     else:
-        train, test = all_of(*(partial(reader.transforms, f"transforms_{part}.json") for part in ("train", "test")))
+        train, test = all_of(
+            *(partial(reader.transforms, f"transforms_{part}.json") for part in ("train", "test"))
+        )
         shared = {frame.name for frame in train} & {frame.name for frame in test}
         if shared:
-            raise UserError(root / "transforms_test.json", expected="frames that are not trained on", found=f"{min(shared)} in both")
+            raise UserError(
+                root / "transforms_test.json",
+                expected="frames that are not trained on",
+                found=f"{min(shared)} in both",
+            )
         frames = train + test
         trains = [True] * len(train) + [False] * len(test)
     return listing_of(root, split, frames, format="VHAP export", trains=trains)
@@ -80,12 +88,16 @@ class _Reader:
             raise UserError(path, expected="at least one frame", found="an empty list")
 
         def files(number: int) -> FrameFiles:
-            return _Entry(path, number, _with_shared_values(path, number, document["frames"][number], document)).files(self)
+            return _Entry(
+                path, number, _with_shared_values(path, number, document["frames"][number], document)
+            ).files(self)
 
         return each(files, range(len(document["frames"])))
 
     def picture(self, path: Path) -> Path | None:
-        """The picture at a path, or else the one beside it whose name differs by its suffix or the spelling of an accent."""
+        """The picture at a path, or else the one beside it whose name differs by its suffix or the spelling
+        of an accent.
+        """
         if path.is_file():
             return path
         if path.parent not in self._folders:
@@ -100,7 +112,9 @@ def _with_shared_values(path: Path, index: int, frame: object, document: dict[st
         raise UserError(path, expected=f"an object as frames[{index}]", found=type(frame).__name__)
     # a focal length of the file's must not stand beside a field of view of the frame's own
     states_focal = "fl_x" in frame or "camera_angle_x" in frame
-    shared = ("w", "h", "cx", "cy") if states_focal else ("w", "h", "cx", "cy", "fl_x", "fl_y", "camera_angle_x")
+    shared = (
+        ("w", "h", "cx", "cy") if states_focal else ("w", "h", "cx", "cy", "fl_x", "fl_y", "camera_angle_x")
+    )
     return {**{key: document[key] for key in shared if key in document}, **frame}
 
 
@@ -125,10 +139,14 @@ class _Entry:
         others = [path for path in (mask_path, albedo_path) if path is not None]
         checks = [partial(check_picture, image_path), *(partial(check_shape, path) for path in others)]
         all_of(*(partial(check, camera, reader.index, said_by=self.path.name) for check in checks))
-        return FrameFiles(image_path.stem, timestep, image_path, mask_path, albedo_path, parameters_path, camera)
+        return FrameFiles(
+            image_path.stem, timestep, image_path, mask_path, albedo_path, parameters_path, camera
+        )
 
     def camera(self) -> Camera:
-        """The pinhole camera; without fl_x the field of view gives the focal length, without cx the centre is the frame's."""
+        """The pinhole camera; without fl_x the field of view gives the focal length, without cx the centre is
+        the frame's.
+        """
         width, height = self._whole("w", above=0), self._whole("h", above=0)
         if "fl_x" in self.values:
             fx = self._number("fl_x", above=0)
@@ -143,7 +161,9 @@ class _Entry:
         return Camera(self._world_to_camera(), fx=fx, fy=fy, cx=cx, cy=cy, width=width, height=height)
 
     def _world_to_camera(self) -> torch.Tensor:
-        """(4, 4) float32: the file's OpenGL camera-to-world with y and z turned to OpenCV's axes, then inverted."""
+        """(4, 4) float32: the file's OpenGL camera-to-world with y and z turned to OpenCV's axes, then
+        inverted.
+        """
         values = self._value("transform_matrix")
         try:
             camera_to_world = np.array(values if isinstance(values, list) else "none", dtype=np.float64)
@@ -163,7 +183,11 @@ class _Entry:
             raise self._fault(f"{key} to be a path", repr(value))
         path = root / value
         if not path.is_file():
-            raise UserError(path, expected=f"the file that {self.path.name} names as {key} of frames[{self.index}]", found="no such file")
+            raise UserError(
+                path,
+                expected=f"the file that {self.path.name} names as {key} of frames[{self.index}]",
+                found="no such file",
+            )
         return path
 
     def _picture(self, reader: _Reader, key: str) -> Path:
@@ -179,7 +203,12 @@ class _Entry:
 
     def _number(self, key: str, *, above: float = -math.inf) -> float:
         value = self._value(key)
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value) or value <= above:
+        if (
+            isinstance(value, bool)
+            or not isinstance(value, int | float)
+            or not math.isfinite(value)
+            or value <= above
+        ):
             raise self._fault(f"{key} to be a {'positive' if above == 0 else 'finite'} number", repr(value))
         return value
 

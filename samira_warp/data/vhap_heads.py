@@ -14,9 +14,9 @@ from samira_warp.data.split import Split
 from samira_warp.data.track import Heads, Reading
 from samira_warp.data.vhap import CANONICAL_FILE, list_vhap
 from samira_warp.data.vhap_parameters import TrackedHead, read_tracked_head
-from samira_warp.errors import UserError
-from samira_warp.faults import unless_at_fault
 from samira_warp.head.template import HeadTemplate
+from samira_warp.support.errors import UserError
+from samira_warp.support.faults import unless_at_fault
 
 
 def open_vhap(root: Path, split: Split, index: FileIndex) -> Reading:
@@ -35,16 +35,22 @@ def _read_heads(listing: Listing, template: HeadTemplate, index: FileIndex) -> H
     for frame in listing.frames:
         path = frame.parameters_path
         if path not in heads:
-            heads[path] = unless_at_fault(partial(_read_head, path, template, canonical, index), otherwise=canonical)
+            heads[path] = unless_at_fault(
+                partial(_read_head, path, template, canonical, index), otherwise=canonical
+            )
     parameters = tuple(heads[frame.parameters_path].parameters for frame in listing.frames)
     return Heads(canonical.shape, parameters, canonical.parameters.static_offset)
 
 
 def _read_head(path: Path, template: HeadTemplate, canonical: TrackedHead, index: FileIndex) -> TrackedHead:
-    """A frame's head, with the canonical static offset's memory where it repeats it; identity must not change within a sequence."""
+    """A frame's head, with the canonical static offset's memory where it repeats it; identity must not change
+    within a sequence.
+    """
     head = read_tracked_head(path, template, index)
     # coefficients are of order 1: the tolerance is what float32 text round trips lose
-    if not torch.equal(head.shape, canonical.shape) and not torch.allclose(head.shape, canonical.shape, atol=1e-5):
+    if not torch.equal(head.shape, canonical.shape) and not torch.allclose(
+        head.shape, canonical.shape, atol=1e-5
+    ):
         raise UserError(f"{path}: shape", expected=f"the identity of {CANONICAL_FILE}", found="another")
     offset, shared = head.parameters.static_offset, canonical.parameters.static_offset
     if offset is not None and shared is not None and torch.equal(offset, shared):

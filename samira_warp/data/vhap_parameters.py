@@ -12,12 +12,12 @@ import numpy as np
 import torch
 
 from samira_warp.data.index import FileIndex
-from samira_warp.errors import UserError
-from samira_warp.faults import all_of
 from samira_warp.head.flame import FLAME_VERTICES
 from samira_warp.head.model import FrameParameters
 from samira_warp.head.teeth import TEETH_VERTICES
 from samira_warp.head.template import HeadTemplate
+from samira_warp.support.errors import UserError
+from samira_warp.support.faults import all_of
 
 
 class TrackedHead(NamedTuple):
@@ -37,7 +37,8 @@ def read_tracked_head(path: Path, template: HeadTemplate, index: FileIndex | Non
         index: Remembers what the file held.
 
     Raises:
-        UserError: The file or a key is missing, an array's shape does not fit the template, or a number is not finite.
+        UserError: The file or a key is missing, an array's shape does not fit the template, or a number is
+            not finite.
     """
     arrays = load_parameters(path) if index is None else index.arrays(path, load_parameters)
     vertices = len(template.v_template)
@@ -49,7 +50,9 @@ def read_tracked_head(path: Path, template: HeadTemplate, index: FileIndex | Non
         """As many as the template's, or the first so many of a template whose shapes have no names."""
         found = arrays[key].shape[-1] if key in arrays and arrays[key].ndim else 0
         fewer = not template.names_expressions and 0 < found < shape[-1]
-        return torch.nn.functional.pad(vector(key, *shape[:-1], found if fewer else shape[-1]), (0, shape[-1] - found if fewer else 0))
+        return torch.nn.functional.pad(
+            vector(key, *shape[:-1], found if fewer else shape[-1]), (0, shape[-1] - found if fewer else 0)
+        )
 
     translation, rotation, neck, jaw, eyes, expression, static_offset, dynamic_offset, shape = all_of(
         partial(vector, "translation", 1, 3),
@@ -62,7 +65,10 @@ def read_tracked_head(path: Path, template: HeadTemplate, index: FileIndex | Non
         partial(_offset, path, arrays, "dynamic_offset", vertices),
         partial(coefficients, "shape", template.n_shape),
     )
-    return TrackedHead(FrameParameters(translation, rotation, neck, jaw, eyes, expression, static_offset, dynamic_offset), shape)
+    return TrackedHead(
+        FrameParameters(translation, rotation, neck, jaw, eyes, expression, static_offset, dynamic_offset),
+        shape,
+    )
 
 
 def load_parameters(path: Path) -> dict[str, np.ndarray]:
@@ -76,7 +82,16 @@ def load_parameters(path: Path) -> dict[str, np.ndarray]:
     try:
         with np.load(path, allow_pickle=False) as archive:
             return dict(archive)
-    except (ValueError, TypeError, AttributeError, OSError, EOFError, NotImplementedError, zipfile.BadZipFile, zlib.error) as fault:
+    except (
+        ValueError,
+        TypeError,
+        AttributeError,
+        OSError,
+        EOFError,
+        NotImplementedError,
+        zipfile.BadZipFile,
+        zlib.error,
+    ) as fault:
         raise UserError(path, expected="an .npz of plain arrays", found=fault) from fault
 
 
@@ -87,12 +102,22 @@ def checked(path: Path, arrays: dict[str, np.ndarray], key: str, shape: tuple[in
         UserError: It is not.
     """
     if key not in arrays:
-        raise UserError(path, expected=f"the key {key}", found=f"only {', '.join(sorted(arrays)) or 'an empty archive'}")
+        raise UserError(
+            path, expected=f"the key {key}", found=f"only {', '.join(sorted(arrays)) or 'an empty archive'}"
+        )
     array = arrays[key]
     if array.shape != shape or array.dtype.kind not in "fiu":
-        raise UserError(f"{path}: {key}", expected=f"numbers of shape {shape}", found=f"{array.dtype} of shape {array.shape}")
+        raise UserError(
+            f"{path}: {key}",
+            expected=f"numbers of shape {shape}",
+            found=f"{array.dtype} of shape {array.shape}",
+        )
     if not np.isfinite(array).all():
-        raise UserError(f"{path}: {key}", expected="finite numbers", found=f"{np.count_nonzero(~np.isfinite(array))} that are not")
+        raise UserError(
+            f"{path}: {key}",
+            expected="finite numbers",
+            found=f"{np.count_nonzero(~np.isfinite(array))} that are not",
+        )
     return array.astype(np.float32)
 
 
@@ -110,4 +135,8 @@ def offsets(path: Path, arrays: dict[str, np.ndarray], key: str, count: int, ver
     rows = arrays[key].shape[1] if arrays[key].ndim == 3 else vertices
     differ_by_teeth = {rows, vertices} == {FLAME_VERTICES, FLAME_VERTICES + TEETH_VERTICES}
     found = checked(path, arrays, key, (count, rows if differ_by_teeth else vertices, 3))
-    return np.pad(found[:, :FLAME_VERTICES], ((0, 0), (0, vertices - FLAME_VERTICES), (0, 0))) if differ_by_teeth else found
+    return (
+        np.pad(found[:, :FLAME_VERTICES], ((0, 0), (0, vertices - FLAME_VERTICES), (0, 0)))
+        if differ_by_teeth
+        else found
+    )

@@ -1,12 +1,14 @@
 """VHAP's own result beside the pictures that it tracked, before the export.
 
     tracked_flame_params_30.npz   the last epoch counts: shape, and T rows of expr, rotation, neck_pose, jaw_pose, eyes_pose, translation;
-                                  timestep_id, focal_length (a share of the longer side), perhaps static_offset and dynamic_offset;
-                                  its n_processed_frames is where tracking began, and says nothing
+                                  timestep_id, focal_length (a share of the longer side), perhaps
+                                  static_offset and dynamic_offset; its n_processed_frames is where tracking
+                                  began, and says nothing
     images/00000.jpg              the frames of the film, named by timestep_id or in its order
     alpha_maps/00000.jpg          their coverage
 
-Films of one camera alone: only for them does VHAP find the camera itself, which then stands at (0, 0, 1) and looks along -z.
+Films of one camera alone: only for them does VHAP find the camera itself, which then stands at (0, 0, 1) and
+looks along -z.
 """
 
 from __future__ import annotations
@@ -25,9 +27,9 @@ from samira_warp.data.pictures import first_folder, key_of, natural, pictures_of
 from samira_warp.data.split import Split
 from samira_warp.data.track import Heads, Reading, Track, heads_of
 from samira_warp.data.vhap_parameters import checked, load_parameters, offsets
-from samira_warp.errors import UserError
-from samira_warp.faults import all_of
 from samira_warp.head.template import HeadTemplate
+from samira_warp.support.errors import UserError
+from samira_warp.support.faults import all_of
 
 TRACKED = "tracked_flame_params*.npz"
 """What marks the format."""
@@ -40,7 +42,8 @@ def open_vhap_tracked(root: Path, split: Split, index: FileIndex) -> Reading:
     """Open a folder with VHAP's tracked parameters.
 
     Raises:
-        UserError: A key is missing, a value has a wrong shape, the film was taken by more than one camera, or pictures are missing.
+        UserError: A key is missing, a value has a wrong shape, the film was taken by more than one camera, or
+            pictures are missing.
     """
     path = max(root.glob(TRACKED), key=lambda path: natural(path.name))
     arrays = load_parameters(path)
@@ -99,18 +102,28 @@ def _track(path: Path, arrays: dict[str, np.ndarray]) -> Track:
 
 
 def _names(root: Path, path: Path, arrays: dict[str, np.ndarray], count: int) -> list[str]:
-    """Stems of the pictures: the timesteps' own names, or the pictures in order where they are named otherwise."""
+    """Stems of the pictures: the timesteps' own names, or the pictures in order where they are named
+    otherwise.
+    """
     pictures = pictures_of(first_folder(root, _IMAGE_FOLDERS) or root / _IMAGE_FOLDERS[0])
     names = [str(name) for name in np.ravel(arrays["timestep_id"])] if "timestep_id" in arrays else []
     if len(names) == count and any(key_of(name) in pictures for name in names):
         return names
     if len(pictures) != count:
-        raise UserError(path, expected=f"{count} pictures, one a tracked timestep", found=f"{len(pictures)} in {_IMAGE_FOLDERS[0]}")
+        raise UserError(
+            path,
+            expected=f"{count} pictures, one a tracked timestep",
+            found=f"{len(pictures)} in {_IMAGE_FOLDERS[0]}",
+        )
     return sorted(pictures, key=natural)
 
 
-def _with_offsets(heads: Heads, path: Path, arrays: dict[str, np.ndarray], template: HeadTemplate, rows: list[int]) -> Heads:
-    """The heads with their offsets, where VHAP found any; its camera stands still, so that they cannot move it."""
+def _with_offsets(
+    heads: Heads, path: Path, arrays: dict[str, np.ndarray], template: HeadTemplate, rows: list[int]
+) -> Heads:
+    """The heads with their offsets, where VHAP found any; its camera stands still, so that they cannot move
+    it.
+    """
     vertices = len(template.v_template)
     static, parameters = None, heads.parameters
     if "static_offset" in arrays:
@@ -118,5 +131,7 @@ def _with_offsets(heads: Heads, path: Path, arrays: dict[str, np.ndarray], templ
         parameters = tuple(replace(frame, static_offset=static) for frame in parameters)
     if "dynamic_offset" in arrays:
         dynamic = torch.from_numpy(offsets(path, arrays, "dynamic_offset", len(arrays["expr"]), vertices))
-        parameters = tuple(replace(frame, dynamic_offset=dynamic[row]) for row, frame in zip(rows, parameters, strict=True))
+        parameters = tuple(
+            replace(frame, dynamic_offset=dynamic[row]) for row, frame in zip(rows, parameters, strict=True)
+        )
     return heads._replace(parameters=parameters, static_offset=static)

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from samira_warp.cli import run
 from samira_warp.data import open_listing
-from samira_warp.errors import UserError
 from samira_warp.evaluate.evaluate import evaluate_images
 from samira_warp.evaluate.folders import find_comparisons, read_pairs, read_region_names
 from samira_warp.evaluate.lpips import LpipsNet, find_lpips
+from samira_warp.support.cli import run
+from samira_warp.support.errors import UserError
 
 
 @dataclass(frozen=True)
@@ -36,10 +36,12 @@ class EvaluateConfig:
     """What the images show. Normals are (n + 1) / 2 in world space, and are scored by angle."""
 
     regions: Path | None = None
-    """Folder of label images, with their names in parse.json there or one folder up: scores by region as well."""
+    """Folder of label images, with their names in parse.json there or one folder up: scores by region as
+    well."""
 
     lpips_weights: Path | None = None
-    """Folder of the backbone's and the linear weights of LPIPS. Default: torch.hub's cache and an installed lpips package."""
+    """Folder of the backbone's and the linear weights of LPIPS. Default: torch.hub's cache and an installed
+    lpips package."""
 
     lpips_net: LpipsNet = "alex"
     """Backbone of LPIPS."""
@@ -52,13 +54,19 @@ def main(config: EvaluateConfig) -> None:
     if truth is None and config.layer != "image":
         truth = config.data / "gt" / config.layer
         if not truth.is_dir():
-            raise UserError(truth, expected=f"the dataset's true {config.layer}, or --truth DIR", found="neither")
+            raise UserError(
+                truth, expected=f"the dataset's true {config.layer}, or --truth DIR", found="neither"
+            )
     region_names = None if config.regions is None else read_region_names(config.regions)
-    comparisons = find_comparisons(listing, predictions=config.pred, truth=truth, layer=config.layer, regions=config.regions)
+    comparisons = find_comparisons(
+        listing, predictions=config.pred, truth=truth, layer=config.layer, regions=config.regions
+    )
     result = evaluate_images(
         read_pairs(comparisons, layer=config.layer),
         layer=config.layer,
-        lpips="normals are scored by angle" if config.layer == "normal" else find_lpips(config.lpips_net, config.lpips_weights),
+        lpips="normals are scored by angle"
+        if config.layer == "normal"
+        else find_lpips(config.lpips_net, config.lpips_weights),
         region_names=region_names,
         protocol={
             "split": config.split if truth is None else f"all images of {truth}",

@@ -82,8 +82,9 @@ def evaluate_images(
         protocol: What else to say about how the scores came about: split, size, 8-bit or float.
 
     Returns:
-        What ``results.json`` and the command report: averages by name (None where no frame has the score), ``lpips_reason`` where lpips
-        is None, ``regions`` with averages by region, ``frames`` with scores by frame name, and ``protocol``.
+        What ``results.json`` and the command report: averages by name (None where no frame has the score),
+        ``lpips_reason`` where lpips is None, ``regions`` with averages by region, ``frames`` with scores by
+        frame name, and ``protocol``.
     """
     reason = lpips if isinstance(lpips, str) else None
     totals, region_totals = _Totals(), {name: _Totals() for name in (region_names or {}).values()}
@@ -92,7 +93,11 @@ def evaluate_images(
         for pair in pairs:
             if reason is None and min(pair.truth.shape[:2]) < SMALLEST_IMAGE:
                 reason = f"images are smaller than {SMALLEST_IMAGE} pixels"
-            scores = _score_normals(pair) if layer == "normal" else _score_image(pair, layer, lpips if reason is None else None)
+            scores = (
+                _score_normals(pair)
+                if layer == "normal"
+                else _score_image(pair, layer, lpips if reason is None else None)
+            )
             scores = {name: _finite(score) for name, score in scores.items()}
             totals.add(scores)
             frames[pair.name] = scores
@@ -136,7 +141,9 @@ def _score_normals(pair: ImagePair) -> dict[str, torch.Tensor]:
     return {"normal_angle": metrics.normal_angle(pair.prediction, pair.truth, mask)}
 
 
-def _score_regions(pair: ImagePair, layer: Layer, names: Mapping[int, str]) -> dict[str, dict[str, float | None]]:
+def _score_regions(
+    pair: ImagePair, layer: Layer, names: Mapping[int, str]
+) -> dict[str, dict[str, float | None]]:
     """Scores over each label's pixels, for the labels that the frame shows."""
     shown = {name: where for label, name in names.items() if (where := pair.labels == label).any()}
     if layer == "normal":
@@ -144,7 +151,10 @@ def _score_regions(pair: ImagePair, layer: Layer, names: Mapping[int, str]) -> d
         return {name: {"normal_angle": _finite(angles[where].mean())} for name, where in shown.items()}
     similarity = metrics.ssim_map(pair.prediction, pair.truth)
     return {
-        name: {"psnr": _finite(metrics.psnr_where(pair.prediction, pair.truth, where)), "ssim": _finite(similarity[where].mean())}
+        name: {
+            "psnr": _finite(metrics.psnr_where(pair.prediction, pair.truth, where)),
+            "ssim": _finite(similarity[where].mean()),
+        }
         for name, where in shown.items()
     }
 
@@ -152,8 +162,15 @@ def _score_regions(pair: ImagePair, layer: Layer, names: Mapping[int, str]) -> d
 def _protocol(layer: Layer, lpips: Lpips | str, frame_count: int) -> dict[str, Any]:
     common = {"layer": layer, "frames": frame_count}
     if layer == "normal":
-        return common | {"normal_angle": f"mean degrees over mask > {metrics.FOREGROUND}", "average": PROTOCOL["average"]}
-    return common | PROTOCOL | {"lpips_net": None if isinstance(lpips, str) else f"{lpips.net}, LPIPS v0.1, whole frame"}
+        return common | {
+            "normal_angle": f"mean degrees over mask > {metrics.FOREGROUND}",
+            "average": PROTOCOL["average"],
+        }
+    return (
+        common
+        | PROTOCOL
+        | {"lpips_net": None if isinstance(lpips, str) else f"{lpips.net}, LPIPS v0.1, whole frame"}
+    )
 
 
 def _finite(score: torch.Tensor | None) -> float | None:

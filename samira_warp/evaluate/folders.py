@@ -12,9 +12,9 @@ import torch
 
 from samira_warp.data import FrameFiles, Listing
 from samira_warp.data.pixels import load_mask, load_pixels
-from samira_warp.errors import UserError
 from samira_warp.evaluate.evaluate import ImagePair, Layer
-from samira_warp.images import read_labels, read_on_white, resize_box, resize_nearest
+from samira_warp.io.images import read_labels, read_on_white, resize_box, resize_nearest
+from samira_warp.support.errors import UserError
 
 
 @dataclass(frozen=True)
@@ -34,22 +34,31 @@ class Comparison:
     labels: Path | None
 
 
-def find_comparisons(listing: Listing, *, predictions: Path, truth: Path | None, layer: Layer, regions: Path | None) -> list[Comparison]:
+def find_comparisons(
+    listing: Listing, *, predictions: Path, truth: Path | None, layer: Layer, regions: Path | None
+) -> list[Comparison]:
     """Pair predictions with the truth by name.
 
     All images of the ``truth`` folder are scored; without one, the dataset's own pictures of the split are.
-    ``predictions`` may be the folder of the images or an output folder of ``render``, which has one folder for each layer.
+    ``predictions`` may be the folder of the images or an output folder of ``render``, which has one folder
+    for each layer.
 
     Raises:
         UserError: A folder or an image is missing, or a true image is none of the dataset's.
     """
     for folder in (predictions, truth, regions):
         if folder is not None and not folder.is_dir():
-            raise UserError(folder, expected="a folder of images", found="a file" if folder.exists() else "no such folder")
+            raise UserError(
+                folder, expected="a folder of images", found="a file" if folder.exists() else "no such folder"
+            )
     if truth is None:
         truths = {listing.frames[index].name: None for index in listing.selected}
     else:
-        truths = {path.stem: path for path in sorted(truth.iterdir()) if path.suffix.lower() in (".png", ".jpg", ".jpeg")}
+        truths = {
+            path.stem: path
+            for path in sorted(truth.iterdir())
+            if path.suffix.lower() in (".png", ".jpg", ".jpeg")
+        }
         if not truths:
             raise UserError(truth, expected="images", found="none")
     frames = {frame.name: frame for frame in listing.frames}
@@ -58,9 +67,17 @@ def find_comparisons(listing: Listing, *, predictions: Path, truth: Path | None,
     comparisons = []
     for name, true_path in truths.items():
         if name not in frames:
-            raise UserError(true_path, expected=f"the name of a frame of {listing.root} (split {listing.split.text})", found=name)
+            raise UserError(
+                true_path,
+                expected=f"the name of a frame of {listing.root} (split {listing.split.text})",
+                found=name,
+            )
         labels = None if regions is None else _existing(regions / f"{name}.png", "the frame's region labels")
-        comparisons.append(Comparison(frames[name], _existing(folder / f"{name}.png", "the frame's prediction"), true_path, labels))
+        comparisons.append(
+            Comparison(
+                frames[name], _existing(folder / f"{name}.png", "the frame's prediction"), true_path, labels
+            )
+        )
     return comparisons
 
 
@@ -75,14 +92,20 @@ def read_pair(comparison: Comparison, *, layer: Layer) -> ImagePair:
     if comparison.truth is None:
         truth = load_pixels(comparison.frame, width=width, height=height).image
     else:
-        truth = torch.from_numpy(np.ascontiguousarray(resize_box(read_on_white(comparison.truth), width=width, height=height)))
+        truth = torch.from_numpy(
+            np.ascontiguousarray(resize_box(read_on_white(comparison.truth), width=width, height=height))
+        )
     labels = (
-        None if comparison.labels is None else torch.from_numpy(resize_nearest(read_labels(comparison.labels), width=width, height=height))
+        None
+        if comparison.labels is None
+        else torch.from_numpy(resize_nearest(read_labels(comparison.labels), width=width, height=height))
     )
     decoded = torch.from_numpy(prediction)
     if layer == "normal":
         decoded, truth = 2.0 * decoded - 1.0, 2.0 * truth - 1.0
-    return ImagePair(comparison.frame.name, decoded, truth, load_mask(comparison.frame, width=width, height=height), labels)
+    return ImagePair(
+        comparison.frame.name, decoded, truth, load_mask(comparison.frame, width=width, height=height), labels
+    )
 
 
 def read_pairs(comparisons: list[Comparison], *, layer: Layer) -> Iterator[ImagePair]:
@@ -99,7 +122,9 @@ def read_region_names(regions: Path) -> dict[int, str]:
     beside = (regions / "parse.json", regions.parent / "parse.json")
     path = next((path for path in beside if path.is_file()), None)
     if path is None:
-        raise UserError(beside[0], expected="the names of the labels, here or one folder up", found="no such file")
+        raise UserError(
+            beside[0], expected="the names of the labels, here or one folder up", found="no such file"
+        )
     try:
         return {int(label): str(name) for label, name in json.loads(path.read_text(encoding="utf-8")).items()}
     except (ValueError, AttributeError) as fault:

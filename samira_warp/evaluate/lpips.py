@@ -1,4 +1,6 @@
-"""LPIPS v0.1 (Zhang et al. 2018) on VGG16 and AlexNet, in plain torch, with weights that the user already has."""
+"""LPIPS v0.1 (Zhang et al. 2018) on VGG16 and AlexNet, in plain torch, with weights that the user already
+has.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +13,7 @@ from typing import Literal
 import torch
 from torch import nn
 
-from samira_warp.errors import UserError
+from samira_warp.support.errors import UserError
 
 LpipsNet = Literal["vgg", "alex"]
 
@@ -90,15 +92,21 @@ class Lpips(nn.Module):
         head: LPIPS v0.1's linear weights (keys ``linN.model.1.weight``).
     """
 
-    def __init__(self, net: LpipsNet, backbone: Mapping[str, torch.Tensor], head: Mapping[str, torch.Tensor]) -> None:
+    def __init__(
+        self, net: LpipsNet, backbone: Mapping[str, torch.Tensor], head: Mapping[str, torch.Tensor]
+    ) -> None:
         super().__init__()
         self.net = net
         self.convolutions = _BACKBONES[net].convolutions
         for convolution in self.convolutions:
             for part in ("weight", "bias"):
-                self.register_buffer(f"{part}_{convolution.index}", backbone[f"features.{convolution.index}.{part}"].float())
+                self.register_buffer(
+                    f"{part}_{convolution.index}", backbone[f"features.{convolution.index}.{part}"].float()
+                )
         for level in range(sum(convolution.tapped for convolution in self.convolutions)):
-            self.register_buffer(f"head_{level}", head[f"lin{level}.model.1.weight"].float().reshape(-1, 1, 1))
+            self.register_buffer(
+                f"head_{level}", head[f"lin{level}.model.1.weight"].float().reshape(-1, 1, 1)
+            )
         # LPIPS' own scaling layer: ImageNet's statistics for images in -1..1
         self.register_buffer("shift", torch.tensor([-0.030, -0.088, -0.188])[:, None, None])
         self.register_buffer("scale", torch.tensor([0.458, 0.448, 0.450])[:, None, None])
@@ -114,7 +122,11 @@ class Lpips(nn.Module):
             UserError: The images are smaller than SMALLEST_IMAGE.
         """
         if min(prediction.shape[:2]) < SMALLEST_IMAGE:
-            raise UserError("LPIPS", expected=f"images of {SMALLEST_IMAGE} pixels a side and more", found=tuple(prediction.shape[:2]))
+            raise UserError(
+                "LPIPS",
+                expected=f"images of {SMALLEST_IMAGE} pixels a side and more",
+                found=tuple(prediction.shape[:2]),
+            )
         levels = zip(self._features(prediction), self._features(truth), strict=True)
         distances = [
             (getattr(self, f"head_{level}") * (_unit(ours) - _unit(theirs)).square()).sum(dim=1).mean()
@@ -129,10 +141,15 @@ class Lpips(nn.Module):
         for convolution in self.convolutions:
             if convolution.pool:
                 x = torch.nn.functional.max_pool2d(x, convolution.pool, stride=2)
-            weight, bias = getattr(self, f"weight_{convolution.index}"), getattr(self, f"bias_{convolution.index}")
+            weight, bias = (
+                getattr(self, f"weight_{convolution.index}"),
+                getattr(self, f"bias_{convolution.index}"),
+            )
             # padding that keeps the size, but for AlexNet's first layer, which torchvision pads by 2
             padding = 2 if convolution.kernel == 11 else convolution.kernel // 2
-            x = torch.relu(torch.nn.functional.conv2d(x, weight, bias, stride=convolution.stride, padding=padding))
+            x = torch.relu(
+                torch.nn.functional.conv2d(x, weight, bias, stride=convolution.stride, padding=padding)
+            )
             if convolution.tapped:
                 levels.append(x)
         return levels
@@ -141,8 +158,9 @@ class Lpips(nn.Module):
 def find_lpips(net: LpipsNet, weights_dir: Path | None = None) -> Lpips | str:
     """Build LPIPS from weights on this machine; nothing is downloaded.
 
-    The files are torchvision's backbone and LPIPS v0.1's ``vgg.pth`` or ``alex.pth``. They are looked for in ``weights_dir`` (there only,
-    where it is given), else in torch.hub's cache and in the folder of an installed ``lpips`` package, which is not imported.
+    The files are torchvision's backbone and LPIPS v0.1's ``vgg.pth`` or ``alex.pth``. They are looked for in
+    ``weights_dir`` (there only, where it is given), else in torch.hub's cache and in the folder of an
+    installed ``lpips`` package, which is not imported.
 
     Args:
         net: The backbone.
@@ -155,7 +173,11 @@ def find_lpips(net: LpipsNet, weights_dir: Path | None = None) -> Lpips | str:
         UserError: ``weights_dir`` is no folder, or a file that was found does not hold the weights.
     """
     if weights_dir is not None and not weights_dir.is_dir():
-        raise UserError(weights_dir, expected="a folder of LPIPS weights", found="a file" if weights_dir.exists() else "no such folder")
+        raise UserError(
+            weights_dir,
+            expected="a folder of LPIPS weights",
+            found="a file" if weights_dir.exists() else "no such folder",
+        )
     folders = [weights_dir] if weights_dir is not None else _usual_folders()
     backbone = _BACKBONES[net]
     paths = []
@@ -164,14 +186,18 @@ def find_lpips(net: LpipsNet, weights_dir: Path | None = None) -> Lpips | str:
         if path is None:
             return f"{name} is in none of: {', '.join(map(str, folders))}"
         paths.append(path)
-    return Lpips(net, _read_weights(paths[0], _backbone_shapes(net)), _read_weights(paths[1], _head_shapes(net)))
+    return Lpips(
+        net, _read_weights(paths[0], _backbone_shapes(net)), _read_weights(paths[1], _head_shapes(net))
+    )
 
 
 def _usual_folders() -> list[Path]:
     folders = [Path(torch.hub.get_dir()) / "checkpoints"]
     package = importlib.util.find_spec("lpips")
     if package is not None:
-        folders += [Path(location) / "weights" / "v0.1" for location in package.submodule_search_locations or ()]
+        folders += [
+            Path(location) / "weights" / "v0.1" for location in package.submodule_search_locations or ()
+        ]
     return folders
 
 
@@ -179,7 +205,12 @@ def _backbone_shapes(net: LpipsNet) -> dict[str, tuple[int, ...]]:
     shapes: dict[str, tuple[int, ...]] = {}
     channels = 3
     for convolution in _BACKBONES[net].convolutions:
-        shapes[f"features.{convolution.index}.weight"] = (convolution.channels, channels, convolution.kernel, convolution.kernel)
+        shapes[f"features.{convolution.index}.weight"] = (
+            convolution.channels,
+            channels,
+            convolution.kernel,
+            convolution.kernel,
+        )
         shapes[f"features.{convolution.index}.bias"] = (convolution.channels,)
         channels = convolution.channels
     return shapes
@@ -194,17 +225,25 @@ def _read_weights(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> dict[str
     """The named tensors of a state dict, each of the shape expected; no code in the file is run."""
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as fault:  # torch raises anything from EOFError to UnpicklingError for a file that is not its own
+    except (
+        Exception
+    ) as fault:  # torch raises anything from EOFError to UnpicklingError for a file that is not its own
         raise UserError(
-            path, expected="a state dict written by torch", found=str(fault).splitlines()[0] if str(fault) else repr(fault)
+            path,
+            expected="a state dict written by torch",
+            found=str(fault).splitlines()[0] if str(fault) else repr(fault),
         ) from fault
     for key, shape in shapes.items():
         found = state.get(key) if isinstance(state, dict) else None
         if not isinstance(found, torch.Tensor) or tuple(found.shape) != shape:
-            raise UserError(f"{path}: {key}", expected=f"weights of shape {shape}", found=getattr(found, "shape", "none"))
+            raise UserError(
+                f"{path}: {key}", expected=f"weights of shape {shape}", found=getattr(found, "shape", "none")
+            )
     return {key: state[key] for key in shapes}
 
 
 def _unit(features: torch.Tensor) -> torch.Tensor:
-    """Features of unit length over the channels; vector_norm has a gradient of zero at zero, where a square root has none."""
+    """Features of unit length over the channels; vector_norm has a gradient of zero at zero, where a square
+    root has none.
+    """
     return features / (torch.linalg.vector_norm(features, dim=1, keepdim=True) + 1e-10)

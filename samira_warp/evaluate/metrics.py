@@ -6,7 +6,8 @@ import kornia
 import torch
 
 PSNR_CAP = 100.0
-"""Decibels reported for images that are equal: JSON has no infinity, and a mean over frames needs a number."""
+"""Decibels reported for images that are equal: JSON has no infinity, and a mean over frames needs a
+number."""
 
 FOREGROUND = 0.5
 """Pixels with more coverage than this are the head's."""
@@ -28,9 +29,11 @@ def psnr_where(prediction: torch.Tensor, truth: torch.Tensor, where: torch.Tenso
 
 
 def psnr_gain(prediction: torch.Tensor, truth: torch.Tensor, mask: torch.Tensor) -> torch.Tensor:
-    """PSNR over the foreground after the best gain per channel: what remains once exposure and white balance are forgiven.
+    """PSNR over the foreground after the best gain per channel: what remains once exposure and white balance
+    are forgiven.
 
-    The gain g of a channel minimises the sum over the foreground of (g x prediction - truth)^2, in display values.
+    The gain g of a channel minimises the sum over the foreground of (g x prediction - truth)^2, in display
+    values.
 
     Args:
         prediction: (H, W, 3) floats.

@@ -9,11 +9,12 @@ import torch
 
 from samira_warp.head.regions import REGIONS, response_coverage, route_faces
 from samira_warp.head.template import HeadTemplate
-from samira_warp.kernels.gather import GatherTable, gather
-from samira_warp.kernels.uv_raster import rasterize_uv
+from samira_warp.kernels.gathering.gather import GatherTable, gather
+from samira_warp.kernels.mesh.uv_raster import rasterize_uv
 
 DILATION = 2
-"""Texels by which maps reach over chart borders, so that bilinear samples and 3 x 3 convolutions there see no emptiness."""
+"""Texels by which maps reach over chart borders, so that bilinear samples and 3 x 3 convolutions there see no
+emptiness."""
 
 SOFTENING = 3
 """Texels over which a region's response fades into its neighbour's."""
@@ -21,19 +22,22 @@ SOFTENING = 3
 
 @dataclass(frozen=True, eq=False)
 class UvAtlas:
-    """Per-texel facts of a head's UV layout; texel (row, column) has its centre at u = (column + 0.5) / W, v = 1 - (row + 0.5) / H.
+    """Per-texel facts of a head's UV layout; texel (row, column) has its centre at u = (column + 0.5) / W, v
+    = 1 - (row + 0.5) / H.
 
     Attributes:
         size: H = W, texels.
         face: (H, W) int32 covering face, -1 where there is none.
         barycentrics: (H, W, 3) float32 weights of the covering face's corners.
         covered: (H, W) bool, texels whose centre a face covers.
-        valid: (H, W) bool, covered texels and those up to 2 texels beyond a chart's border, which copy the nearest covered texel.
+        valid: (H, W) bool, covered texels and those up to 2 texels beyond a chart's border, which copy the
+            nearest covered texel.
         region: (H, W) int8 index into REGIONS of every valid texel, else -1: the disjoint routing masks.
-        soft_masks: (K, H, W) float32 routing masks softened within their charts; they sum to 1 where a texel's face is in some mask of
-            the template, and are 0 elsewhere.
+        soft_masks: (K, H, W) float32 routing masks softened within their charts; they sum to 1 where a
+            texel's face is in some mask of the template, and are 0 elsewhere.
         position_table: Takes (V, C) values of vertices to the (H * W, C) flattened map; 0 where not valid.
-        dilation_table: Takes the (H * W, C) flattened map to itself, valid texels copied from the nearest covered one, 0 elsewhere.
+        dilation_table: Takes the (H * W, C) flattened map to itself, valid texels copied from the nearest
+            covered one, 0 elsewhere.
         vt: (T, 2) float32 UV coordinates, u to the right and v up.
         ft: (F, 3) int32 ids of the faces' UV coordinates.
     """
@@ -86,15 +90,23 @@ class UvAtlas:
 
     def to(self, device: torch.device | str) -> UvAtlas:
         """The same atlas on ``device``."""
-        moved = {name: value.to(device) for name, value in vars(self).items() if isinstance(value, torch.Tensor | GatherTable)}
+        moved = {
+            name: value.to(device)
+            for name, value in vars(self).items()
+            if isinstance(value, torch.Tensor | GatherTable)
+        }
         return replace(self, **moved)
 
     def positions(self, vertices: torch.Tensor) -> torch.Tensor:
-        """(H, W, 3) position map P of (V, 3) float32 vertices (Eq. uv_displacement), differentiable; 0 where not valid."""
+        """(H, W, 3) position map P of (V, 3) float32 vertices (Eq. uv_displacement), differentiable; 0 where
+        not valid.
+        """
         return gather(vertices, self.position_table).view(self.size, self.size, 3)
 
     def dilate(self, uv_map: torch.Tensor) -> torch.Tensor:
-        """(H, W, C) float32 map with its covered texels carried 2 texels over chart borders, and 0 beyond; differentiable."""
+        """(H, W, C) float32 map with its covered texels carried 2 texels over chart borders, and 0 beyond;
+        differentiable.
+        """
         return gather(uv_map.flatten(0, 1), self.dilation_table).view(uv_map.shape)
 
     def uv_of(self, faces: torch.Tensor, barycentrics: torch.Tensor) -> torch.Tensor:
@@ -111,11 +123,16 @@ class UvAtlas:
 
 
 def _nearest_covered(covered: np.ndarray) -> np.ndarray:
-    """(H, W) flat index of the nearest covered texel within the dilation, the texel's own where it is covered, -1 where there is none."""
+    """(H, W) flat index of the nearest covered texel within the dilation, the texel's own where it is
+    covered, -1 where there is none.
+    """
     height, width = covered.shape
     own = np.arange(height * width).reshape(height, width)
     reach = range(-DILATION, DILATION + 1)
-    steps = sorted(((row, column) for row in reach for column in reach), key=lambda step: (step[0] ** 2 + step[1] ** 2, step))
+    steps = sorted(
+        ((row, column) for row in reach for column in reach),
+        key=lambda step: (step[0] ** 2 + step[1] ** 2, step),
+    )
     nearest = np.full((height, width), -1)
     for row, column in steps:
         here, there = _overlap(height, row), _overlap(height, -row)
@@ -145,7 +162,9 @@ def _charts(template: HeadTemplate) -> np.ndarray:
 
 
 def _soften(region: torch.Tensor, chart: torch.Tensor, responds: torch.Tensor) -> torch.Tensor:
-    """(K, H, W) shares of the regions within a cone of 3 texels about each texel, counting only its own chart."""
+    """(K, H, W) shares of the regions within a cone of 3 texels about each texel, counting only its own
+    chart.
+    """
     size = len(region)
     shares = torch.zeros(len(REGIONS), size, size)
     for row in range(-SOFTENING, SOFTENING + 1):
@@ -153,7 +172,10 @@ def _soften(region: torch.Tensor, chart: torch.Tensor, responds: torch.Tensor) -
             weight = 1 - (row**2 + column**2) ** 0.5 / (SOFTENING + 1)
             if weight <= 0:
                 continue
-            here, there = (_overlap(size, row), _overlap(size, column)), (_overlap(size, -row), _overlap(size, -column))
+            here, there = (
+                (_overlap(size, row), _overlap(size, column)),
+                (_overlap(size, -row), _overlap(size, -column)),
+            )
             counts = responds[here] & responds[there] & (chart[here] == chart[there])
             view = shares[:, here[0], here[1]]
             view.scatter_add_(0, region[there].clamp(min=0)[None], weight * counts[None])

@@ -1,4 +1,6 @@
-"""FLAME 2020 and 2023 from the user's own file (Li et al., "Learning a model of facial shape and expression from 4D scans", 2017)."""
+"""FLAME 2020 and 2023 from the user's own file (Li et al., "Learning a model of facial shape and expression
+from 4D scans", 2017).
+"""
 
 from __future__ import annotations
 
@@ -6,11 +8,11 @@ from pathlib import Path
 
 import numpy as np
 
-from samira_warp.errors import UserError
 from samira_warp.head.flame_companions import check_ids, checked_uvs, read_eyelids, read_masks, read_uvs
 from samira_warp.head.teeth import add_teeth
 from samira_warp.head.template import JOINTS, HeadTemplate, load_arrays, template_of
-from samira_warp.pickles import arrays_of, read_pickle
+from samira_warp.io.pickles import arrays_of, read_pickle
+from samira_warp.support.errors import UserError
 
 FLAME_VERTICES = 5023
 """Vertices of FLAME; VHAP and GaussianAvatars append `TEETH_VERTICES`."""
@@ -44,18 +46,24 @@ def read_flame(path: str | Path) -> HeadTemplate:
     """Read FLAME, add its UV coordinates and regions, its teeth, and eyelids where their shapes are given.
 
     Args:
-        path: FLAME's pickle as it is downloaded (generic_model.pkl, flame2023.pkl, ...), or an .npz of the same keys, which may hold vt
-            and ft as well. The other files are looked for beside it, by the names in `flame_companions`.
+        path: FLAME's pickle as it is downloaded (generic_model.pkl, flame2023.pkl, ...), or an .npz of the
+            same keys, which may hold vt and ft as well. The other files are looked for beside it, by the
+            names in `flame_companions`.
 
     Returns:
-        A head of 5143 vertices and 10144 faces with 300 identity shapes. Expression is FLAME's, then the two eyelids if there are any.
+        A head of 5143 vertices and 10144 faces with 300 identity shapes. Expression is FLAME's, then the two
+        eyelids if there are any.
 
     Raises:
         UserError: A file is missing or broken, is not FLAME's, or names anything but arrays.
     """
     path = Path(path)
     if not path.is_file():
-        raise UserError(path, expected="FLAME's file (.pkl or .npz)", found="a folder" if path.is_dir() else "no such file")
+        raise UserError(
+            path,
+            expected="FLAME's file (.pkl or .npz)",
+            found="a folder" if path.is_dir() else "no such file",
+        )
     return _completed(path, load_arrays(path) if path.suffix.lower() == ".npz" else read_pickle(path))
 
 
@@ -74,9 +82,13 @@ def _completed(path: Path, values: object) -> HeadTemplate:
     names = [f"expression_{index:03d}" for index in range(arrays["shapedirs"].shape[2] - FLAME_IDENTITY)]
     if eyelids is not None:
         rest = len(arrays["v_template"]) - FLAME_VERTICES
-        arrays["shapedirs"] = np.concatenate([arrays["shapedirs"], np.pad(eyelids, ((0, rest), (0, 0), (0, 0)))], axis=2)
+        arrays["shapedirs"] = np.concatenate(
+            [arrays["shapedirs"], np.pad(eyelids, ((0, rest), (0, 0), (0, 0)))], axis=2
+        )
         names += EYELIDS
-    return template_of(path, {**arrays, "n_shape": np.asarray(FLAME_IDENTITY), "expression_names": np.array(names)})
+    return template_of(
+        path, {**arrays, "n_shape": np.asarray(FLAME_IDENTITY), "expression_names": np.array(names)}
+    )
 
 
 def _check_layout(path: Path, arrays: dict[str, np.ndarray]) -> None:
@@ -90,11 +102,20 @@ def _check_layout(path: Path, arrays: dict[str, np.ndarray]) -> None:
     }
     for key, shape in shapes.items():
         if arrays[key].shape != shape or arrays[key].dtype.kind not in "fiu":
-            raise UserError(f"{path}: {key}", expected=f"FLAME's numbers of shape {shape}", found=_kind(arrays[key]))
+            raise UserError(
+                f"{path}: {key}", expected=f"FLAME's numbers of shape {shape}", found=_kind(arrays[key])
+            )
     check_ids(f"{path}: f", arrays["f"], FLAME_VERTICES)
     dirs = arrays["shapedirs"]
-    if dirs.ndim != 3 or dirs.shape[:2] != (FLAME_VERTICES, 3) or dirs.shape[2] <= FLAME_IDENTITY or dirs.dtype.kind != "f":
-        wanted = f"numbers of shape ({FLAME_VERTICES}, 3, 400): {FLAME_IDENTITY} identity shapes, then expression"
+    if (
+        dirs.ndim != 3
+        or dirs.shape[:2] != (FLAME_VERTICES, 3)
+        or dirs.shape[2] <= FLAME_IDENTITY
+        or dirs.dtype.kind != "f"
+    ):
+        wanted = (
+            f"numbers of shape ({FLAME_VERTICES}, 3, 400): {FLAME_IDENTITY} identity shapes, then expression"
+        )
         raise UserError(f"{path}: shapedirs", expected=wanted, found=_kind(dirs))
 
 

@@ -1,4 +1,5 @@
-"""What FLAME's own file lacks, found beside it: UV coordinates, regions, and the eyelid shapes of metrical-tracker.
+"""What FLAME's own file lacks, found beside it: UV coordinates, regions, and the eyelid shapes of
+metrical-tracker.
 
 UV coordinates   head_template_mesh.obj, head_template.obj, flame_uv.npz, FLAME_texture.npz, texture_data_{256,512,1024,2048}.npy:
                  the first that is there and has them
@@ -12,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from samira_warp.errors import UserError
 from samira_warp.head.template import load_arrays
-from samira_warp.pickles import arrays_of, read_pickle, read_pickled_npy
+from samira_warp.io.pickles import arrays_of, read_pickle, read_pickled_npy
+from samira_warp.support.errors import UserError
 
 UV_FILES = (
     "head_template_mesh.obj",
@@ -31,7 +32,8 @@ def read_uvs(folder: Path, *, vertices: int, faces: int) -> dict[str, np.ndarray
     """FLAME's UV coordinates: vt and ft, and f where the file orders the faces itself.
 
     Raises:
-        UserError: No file of `UV_FILES` is in the folder with UV coordinates in it, or the one that is there is broken.
+        UserError: No file of `UV_FILES` is in the folder with UV coordinates in it, or the one that is there
+            is broken.
     """
     for name in UV_FILES:
         path = folder / name
@@ -40,14 +42,20 @@ def read_uvs(folder: Path, *, vertices: int, faces: int) -> dict[str, np.ndarray
         if path.suffix == ".obj":
             return checked_uvs(path, _read_obj(path), vertices=vertices, faces=faces)
         if path.suffix == ".npy":
-            return checked_uvs(path, arrays_of(path, read_pickled_npy(path), ("vt", "ft")), vertices=vertices, faces=faces)
+            return checked_uvs(
+                path, arrays_of(path, read_pickled_npy(path), ("vt", "ft")), vertices=vertices, faces=faces
+            )
         arrays = load_arrays(path)
         if "vt" in arrays and "ft" in arrays:
             return checked_uvs(path, {"vt": arrays["vt"], "ft": arrays["ft"]}, vertices=vertices, faces=faces)
-    raise UserError(folder, expected=f"FLAME's UV coordinates in one of {', '.join(UV_FILES)}", found="none of them")
+    raise UserError(
+        folder, expected=f"FLAME's UV coordinates in one of {', '.join(UV_FILES)}", found="none of them"
+    )
 
 
-def checked_uvs(path: Path, arrays: dict[str, np.ndarray], *, vertices: int, faces: int) -> dict[str, np.ndarray]:
+def checked_uvs(
+    path: Path, arrays: dict[str, np.ndarray], *, vertices: int, faces: int
+) -> dict[str, np.ndarray]:
     """The arrays as they are, of the right shapes and within range.
 
     Raises:
@@ -55,10 +63,18 @@ def checked_uvs(path: Path, arrays: dict[str, np.ndarray], *, vertices: int, fac
     """
     vt = arrays["vt"]
     if vt.ndim != 2 or vt.shape[1] != 2 or vt.dtype.kind != "f" or not np.isfinite(vt).all():
-        raise UserError(f"{path}: vt", expected="finite numbers of shape (any, 2)", found=f"{vt.dtype} of shape {vt.shape}")
+        raise UserError(
+            f"{path}: vt",
+            expected="finite numbers of shape (any, 2)",
+            found=f"{vt.dtype} of shape {vt.shape}",
+        )
     for key in ("f", "ft"):
         if key in arrays and arrays[key].shape != (faces, 3):
-            raise UserError(f"{path}: {key}", expected=f"the {faces} triangles of FLAME", found=f"shape {arrays[key].shape}")
+            raise UserError(
+                f"{path}: {key}",
+                expected=f"the {faces} triangles of FLAME",
+                found=f"shape {arrays[key].shape}",
+            )
     check_ids(f"{path}: ft", arrays["ft"], len(vt))
     if "f" in arrays:
         check_ids(f"{path}: f", arrays["f"], vertices)
@@ -69,7 +85,11 @@ def check_ids(place: str, ids: np.ndarray, count: int) -> None:
     """Raise UserError unless ``ids`` are integers from 0 to ``count`` - 1."""
     fits = ids.dtype.kind in "iu" and (ids.size == 0 or (ids.min() >= 0 and ids.max() < count))
     if not fits:
-        raise UserError(place, expected=f"integers from 0 to {count - 1}", found=f"{ids.dtype}" if ids.dtype.kind not in "iu" else "others")
+        raise UserError(
+            place,
+            expected=f"integers from 0 to {count - 1}",
+            found=f"{ids.dtype}" if ids.dtype.kind not in "iu" else "others",
+        )
 
 
 def read_masks(folder: Path, *, vertices: int) -> dict[str, np.ndarray]:
@@ -80,7 +100,9 @@ def read_masks(folder: Path, *, vertices: int) -> dict[str, np.ndarray]:
     """
     path = folder / MASKS_FILE
     if not path.is_file():
-        raise UserError(path, expected="FLAME's vertex masks (FLAME_masks.zip on its site)", found="no such file")
+        raise UserError(
+            path, expected="FLAME's vertex masks (FLAME_masks.zip on its site)", found="no such file"
+        )
     values = read_pickle(path)
     if not isinstance(values, dict) or not all(isinstance(name, str) for name in values):
         raise UserError(path, expected="a dictionary of vertex ids by region", found=type(values).__name__)
@@ -91,7 +113,8 @@ def read_masks(folder: Path, *, vertices: int) -> dict[str, np.ndarray]:
 
 
 def read_eyelids(folder: Path, *, vertices: int) -> np.ndarray | None:
-    """(V, 3, 2) metres that a weight of 1 moves the left and the right lids, None where the files are not there.
+    """(V, 3, 2) metres that a weight of 1 moves the left and the right lids, None where the files are not
+    there.
 
     Raises:
         UserError: Only one of the two is there, or one has another shape.
@@ -101,7 +124,9 @@ def read_eyelids(folder: Path, *, vertices: int) -> np.ndarray | None:
         present = [path for path in paths if path.is_file()]
         if len(present) == 1:
             absent = next(path for path in paths if path not in present)
-            raise UserError(absent, expected=f"the other eyelid beside {present[0].name}", found="no such file")
+            raise UserError(
+                absent, expected=f"the other eyelid beside {present[0].name}", found="no such file"
+            )
         if present:
             return np.stack([_read_eyelid(path, vertices) for path in paths], axis=-1)
     return None
@@ -112,14 +137,21 @@ def _read_eyelid(path: Path, vertices: int) -> np.ndarray:
         array = np.load(path, allow_pickle=False)
     except (ValueError, OSError, EOFError) as fault:
         raise UserError(path, expected="an .npy file of numbers", found=fault) from fault
-    if not isinstance(array, np.ndarray) or array.shape != (vertices, 3) or array.dtype.kind != "f" or not np.isfinite(array).all():
+    if (
+        not isinstance(array, np.ndarray)
+        or array.shape != (vertices, 3)
+        or array.dtype.kind != "f"
+        or not np.isfinite(array).all()
+    ):
         found = f"{array.dtype} of shape {array.shape}" if isinstance(array, np.ndarray) else "an archive"
         raise UserError(path, expected=f"finite numbers of shape ({vertices}, 3)", found=found)
     return array
 
 
 def _read_obj(path: Path) -> dict[str, np.ndarray]:
-    """Triangles of a Wavefront file and their UV coordinates, in the file's own order of vertices and faces."""
+    """Triangles of a Wavefront file and their UV coordinates, in the file's own order of vertices and
+    faces.
+    """
     uvs: list[list[float]] = []
     corners: list[list[list[int]]] = []
     try:
@@ -134,10 +166,18 @@ def _read_obj(path: Path) -> dict[str, np.ndarray]:
             elif kind == "f":
                 corners.append([[int(index) - 1 for index in word.split("/")[:2]] for word in words])
         except ValueError as fault:
-            raise UserError(f"{path}: line {number}", expected=f"numbers after {kind}", found=repr(line[:80])) from fault
+            raise UserError(
+                f"{path}: line {number}", expected=f"numbers after {kind}", found=repr(line[:80])
+            ) from fault
         if kind == "f" and (len(corners[-1]) != 3 or any(len(corner) != 2 for corner in corners[-1])):
-            raise UserError(f"{path}: line {number}", expected="a triangle with UV coordinates", found=repr(line[:80]))
+            raise UserError(
+                f"{path}: line {number}", expected="a triangle with UV coordinates", found=repr(line[:80])
+            )
     if not corners or not uvs or any(len(uv) != 2 for uv in uvs):
-        raise UserError(path, expected="faces (f) and UV coordinates (vt)", found=f"{len(corners)} faces, {len(uvs)} coordinates")
+        raise UserError(
+            path,
+            expected="faces (f) and UV coordinates (vt)",
+            found=f"{len(corners)} faces, {len(uvs)} coordinates",
+        )
     indices = np.array(corners)
     return {"vt": np.array(uvs), "f": indices[:, :, 0], "ft": indices[:, :, 1]}

@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 import torch
 
-from samira_warp.head.rotation import axis_angle_to_matrix
+from samira_warp.geometry.rotation import axis_angle_to_matrix
 from samira_warp.head.template import HeadTemplate
-from samira_warp.validation import check_tensor
+from samira_warp.support.validation import check_tensor
 
 NECK = 1
 """The joint whose transform carries the head (FLAME's order: root, neck, jaw, eyes)."""
@@ -40,10 +40,17 @@ class FrameParameters:
     static_offset: torch.Tensor | None = None
     dynamic_offset: torch.Tensor | None = None
 
-    def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> FrameParameters:
+    def to(
+        self, device: torch.device | str | None = None, dtype: torch.dtype | None = None
+    ) -> FrameParameters:
         """The same parameters on another device, in another precision, or both."""
         values = {field.name: getattr(self, field.name) for field in fields(self)}
-        return FrameParameters(**{name: None if value is None else value.to(device=device, dtype=dtype) for name, value in values.items()})
+        return FrameParameters(
+            **{
+                name: None if value is None else value.to(device=device, dtype=dtype)
+                for name, value in values.items()
+            }
+        )
 
 
 class PosedHead(NamedTuple):
@@ -51,15 +58,17 @@ class PosedHead(NamedTuple):
 
     Attributes:
         vertices: (V, 3) metres.
-        joint_transforms: (5, 4, 4) rigid; entry j takes a point that is fixed to joint j from where it is at rest (zero pose and
-            translation) to where it is in the world.
+        joint_transforms: (5, 4, 4) rigid; entry j takes a point that is fixed to joint j from where it is at
+            rest (zero pose and translation) to where it is in the world.
     """
 
     vertices: torch.Tensor
     joint_transforms: torch.Tensor
 
     def in_head_frame(self) -> torch.Tensor:
-        """(V, 3) vertices with the neck joint's motion undone: what is left of the rest mesh's motion is face, jaw and eyes."""
+        """(V, 3) vertices with the neck joint's motion undone: what is left of the rest mesh's motion is
+        face, jaw and eyes.
+        """
         transform = self.joint_transforms[NECK]
         return (self.vertices - transform[:3, 3]) @ transform[:3, :3]
 
@@ -105,7 +114,11 @@ class HeadModel:
 
     def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> HeadModel:
         """The same model on another device, in another precision, or both."""
-        tensors = {name: value.to(device=device, dtype=dtype) for name, value in vars(self).items() if isinstance(value, torch.Tensor)}
+        tensors = {
+            name: value.to(device=device, dtype=dtype)
+            for name, value in vars(self).items()
+            if isinstance(value, torch.Tensor)
+        }
         return replace(self, **tensors)
 
     @property
@@ -124,8 +137,9 @@ class HeadModel:
     def vertices(self, parameters: FrameParameters, shape: torch.Tensor) -> PosedHead:
         """Pose the head, differentiably in the parameters and the shape.
 
-        Joints are regressed from template + identity + expression + offsets, before the pose correctives, as VHAP and GaussianAvatars
-        call FLAME; the global rotation turns the head about the root joint, and the translation comes last.
+        Joints are regressed from template + identity + expression + offsets, before the pose correctives, as
+        VHAP and GaussianAvatars call FLAME; the global rotation turns the head about the root joint, and the
+        translation comes last.
 
         Args:
             parameters: One frame, with the model's device and dtype.
@@ -148,11 +162,15 @@ class HeadModel:
 
         skinning = self._chain(rotations, joints)
         blended = (self.weights @ skinning.flatten(1)).view(-1, 3, 4)
-        posed = (blended[:, :, :3] @ corrected[..., None]).squeeze(-1) + blended[:, :, 3] + parameters.translation
+        posed = (
+            (blended[:, :, :3] @ corrected[..., None]).squeeze(-1) + blended[:, :, 3] + parameters.translation
+        )
         return PosedHead(posed, _to_homogeneous(skinning, parameters.translation))
 
     def _chain(self, rotations: torch.Tensor, joints: torch.Tensor) -> torch.Tensor:
-        """(5, 3, 4) each joint's transform of the rest pose: its own turn about its location, then its ancestors'."""
+        """(5, 3, 4) each joint's transform of the rest pose: its own turn about its location, then its
+        ancestors'.
+        """
         turns: list[torch.Tensor] = []
         shifts: list[torch.Tensor] = []
         for joint, parent in enumerate(self.parents):
@@ -165,7 +183,14 @@ class HeadModel:
 
     def _check(self, parameters: FrameParameters, shape: torch.Tensor) -> None:
         of_model = {"dtype": self.v_template.dtype, "device": self.v_template.device}
-        sizes = {"translation": 3, "rotation": 3, "neck": 3, "jaw": 3, "eyes": 6, "expression": self.n_expression}
+        sizes = {
+            "translation": 3,
+            "rotation": 3,
+            "neck": 3,
+            "jaw": 3,
+            "eyes": 6,
+            "expression": self.n_expression,
+        }
         for name, size in sizes.items():
             check_tensor(name, getattr(parameters, name), shape=(size,), **of_model)
         for name in ("static_offset", "dynamic_offset"):

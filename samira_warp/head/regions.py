@@ -7,7 +7,8 @@ import numpy as np
 from samira_warp.head.template import HeadTemplate
 
 REGIONS = ("forehead", "left_eye", "right_eye", "nose", "lips", "mouth", "cheeks", "ears", "scalp", "neck")
-"""Names of the K = 10 regions, in the order of every map's channels; cheeks is the rest of the face, chin included."""
+"""Names of the K = 10 regions, in the order of every map's channels; cheeks is the rest of the face, chin
+included."""
 
 _MASKS_BY_PRIORITY = {
     "left_eye": ("left_eye_region", "left_eyeball"),
@@ -21,11 +22,14 @@ _MASKS_BY_PRIORITY = {
     "scalp": ("scalp",),
     "cheeks": ("face",),
 }
-"""The masks of a template that make up each region; a vertex in several masks belongs to the first region listed."""
+"""The masks of a template that make up each region; a vertex in several masks belongs to the first region
+listed."""
 
 
 def route_vertices(template: HeadTemplate) -> np.ndarray:
-    """(V,) int64 region of each vertex: the first by priority whose masks hold it, and cheeks for vertices in no mask."""
+    """(V,) int64 region of each vertex: the first by priority whose masks hold it, and cheeks for vertices in
+    no mask.
+    """
     regions = np.full(len(template.v_template), REGIONS.index("cheeks"))
     for name, masks in reversed(_MASKS_BY_PRIORITY.items()):
         for mask in masks:
@@ -34,7 +38,9 @@ def route_vertices(template: HeadTemplate) -> np.ndarray:
 
 
 def route_faces(template: HeadTemplate) -> np.ndarray:
-    """(F,) int64 region of each face: the one most of its vertices belong to, the first by priority where all three differ."""
+    """(F,) int64 region of each face: the one most of its vertices belong to, the first by priority where all
+    three differ.
+    """
     rank_of = np.empty(len(REGIONS), dtype=np.int64)
     rank_of[[REGIONS.index(name) for name in _MASKS_BY_PRIORITY]] = np.arange(len(REGIONS))
     ranks = np.sort(rank_of[route_vertices(template)][template.faces], axis=1)
@@ -43,7 +49,9 @@ def route_faces(template: HeadTemplate) -> np.ndarray:
 
 
 def response_coverage(template: HeadTemplate) -> np.ndarray:
-    """(F,) bool: whether most of a face's vertices are in some mask of a region; the others respond neutrally to light."""
+    """(F,) bool: whether most of a face's vertices are in some mask of a region; the others respond neutrally
+    to light.
+    """
     in_mask = np.zeros(len(template.v_template), dtype=bool)
     for masks in _MASKS_BY_PRIORITY.values():
         for mask in masks:

@@ -1,4 +1,6 @@
-"""Teeth for FLAME, whose mouth is empty: the vertices that VHAP and GaussianAvatars append, so that their static offsets fit."""
+"""Teeth for FLAME, whose mouth is empty: the vertices that VHAP and GaussianAvatars append, so that their
+static offsets fit.
+"""
 
 from __future__ import annotations
 
@@ -19,31 +21,54 @@ TEETH_VERTICES = 8 * RING
 TEETH_FACES = 6 * 2 * (RING - 1)
 """Three strips of each jaw, two triangles a quad."""
 
-UPPER_ROOT, LOWER_ROOT, UPPER_EDGE, LOWER_EDGE, UPPER_ROOT_BACK, UPPER_EDGE_BACK, LOWER_ROOT_BACK, LOWER_EDGE_BACK = range(8)
+(
+    UPPER_ROOT,
+    LOWER_ROOT,
+    UPPER_EDGE,
+    LOWER_EDGE,
+    UPPER_ROOT_BACK,
+    UPPER_EDGE_BACK,
+    LOWER_ROOT_BACK,
+    LOWER_EDGE_BACK,
+) = range(8)
 """The rows, in the order in which their vertices follow FLAME's."""
 
-_ROWS_IN_UV = (UPPER_ROOT, UPPER_EDGE, UPPER_EDGE_BACK, UPPER_ROOT_BACK, LOWER_ROOT_BACK, LOWER_EDGE_BACK, LOWER_EDGE, LOWER_ROOT)
+_ROWS_IN_UV = (
+    UPPER_ROOT,
+    UPPER_EDGE,
+    UPPER_EDGE_BACK,
+    UPPER_ROOT_BACK,
+    LOWER_ROOT_BACK,
+    LOWER_EDGE_BACK,
+    LOWER_EDGE,
+    LOWER_ROOT,
+)
 _FREE_U = (0.62, 0.38)
 _FREE_V = (1 - 0.0083, 1 - 0.0425)
-"""A strip above the head that FLAME's UV layout leaves free. VHAP lets rows overlap in it; here each row has its own height, so that a
-texel means one place."""
+"""A strip above the head that FLAME's UV layout leaves free. VHAP lets rows overlap in it; here each row has
+its own height, so that a texel means one place."""
 
 _BEHIND, _HALF_GAP, _HEIGHT, _LOWER_BEHIND, _THICKNESS = 1.5, 0.1, 2.0, 0.4, 1.0
-"""Lengths in mean distances between the lip rings: how far the teeth are behind the lips, how far an edge is from the middle, how long a
-tooth is, how much further back the lower ones are, and how thick they are."""
+"""Lengths in mean distances between the lip rings: how far the teeth are behind the lips, how far an edge is
+from the middle, how long a tooth is, how much further back the lower ones are, and how thick they are."""
 
 
 def add_teeth(arrays: dict[str, np.ndarray], *, n_shape: int) -> dict[str, np.ndarray]:
-    """FLAME's arrays (`read_template`'s keys) with 120 vertices, 168 faces and their UVs appended, and masks of the teeth.
+    """FLAME's arrays (`read_template`'s keys) with 120 vertices, 168 faces and their UVs appended, and masks
+    of the teeth.
 
-    Teeth take the mean of the lips' identity shapes; they have no expression and no pose correctives, the upper ones move with the neck
-    joint and the lower ones with the jaw.
+    Teeth take the mean of the lips' identity shapes; they have no expression and no pose correctives, the
+    upper ones move with the neck joint and the lower ones with the jaw.
     """
     vertices = arrays["v_template"]
     upper, lower = np.array(UPPER_LIP), np.array(LOWER_LIP)
     shapes = np.zeros((TEETH_VERTICES, *arrays["shapedirs"].shape[1:]))
-    shapes[:, :, :n_shape] = np.tile((arrays["shapedirs"][upper, :, :n_shape] + arrays["shapedirs"][lower, :, :n_shape]) / 2, (8, 1, 1))
-    in_upper_jaw = np.isin(np.arange(TEETH_VERTICES) // RING, (UPPER_ROOT, UPPER_EDGE, UPPER_ROOT_BACK, UPPER_EDGE_BACK))
+    shapes[:, :, :n_shape] = np.tile(
+        (arrays["shapedirs"][upper, :, :n_shape] + arrays["shapedirs"][lower, :, :n_shape]) / 2, (8, 1, 1)
+    )
+    in_upper_jaw = np.isin(
+        np.arange(TEETH_VERTICES) // RING, (UPPER_ROOT, UPPER_EDGE, UPPER_ROOT_BACK, UPPER_EDGE_BACK)
+    )
     weights = np.zeros((TEETH_VERTICES, arrays["weights"].shape[1]))
     weights[np.arange(TEETH_VERTICES), np.where(in_upper_jaw, 1, 2)] = 1.0
     faces = teeth_faces()
@@ -52,8 +77,12 @@ def add_teeth(arrays: dict[str, np.ndarray], *, n_shape: int) -> dict[str, np.nd
         **arrays,
         "v_template": np.concatenate([vertices, _rows(vertices[upper], vertices[lower])]),
         "shapedirs": np.concatenate([arrays["shapedirs"], shapes]),
-        "posedirs": np.concatenate([arrays["posedirs"], np.zeros((TEETH_VERTICES, *arrays["posedirs"].shape[1:]))]),
-        "J_regressor": np.concatenate([arrays["J_regressor"], np.zeros((len(arrays["J_regressor"]), TEETH_VERTICES))], axis=1),
+        "posedirs": np.concatenate(
+            [arrays["posedirs"], np.zeros((TEETH_VERTICES, *arrays["posedirs"].shape[1:]))]
+        ),
+        "J_regressor": np.concatenate(
+            [arrays["J_regressor"], np.zeros((len(arrays["J_regressor"]), TEETH_VERTICES))], axis=1
+        ),
         "weights": np.concatenate([arrays["weights"], weights]),
         "f": np.concatenate([arrays["f"], faces + len(vertices)]),
         "vt": np.concatenate([arrays["vt"], _uvs()]),
@@ -64,7 +93,9 @@ def add_teeth(arrays: dict[str, np.ndarray], *, n_shape: int) -> dict[str, np.nd
 
 
 def teeth_faces() -> np.ndarray:
-    """(168, 3) triangles of the teeth's own vertices, outward: the front, the back and the edge of each jaw."""
+    """(168, 3) triangles of the teeth's own vertices, outward: the front, the back and the edge of each
+    jaw.
+    """
     strips = (
         (UPPER_EDGE, UPPER_ROOT),
         (UPPER_ROOT_BACK, UPPER_EDGE_BACK),
@@ -78,7 +109,11 @@ def teeth_faces() -> np.ndarray:
         for column in range(RING - 1):
             a, b = first * RING + column, second * RING + column
             # diagonals mirror at the middle, as the head does
-            faces += [(a, b, a + 1), (b, b + 1, a + 1)] if column < RING // 2 else [(a, b, b + 1), (a, b + 1, a + 1)]
+            faces += (
+                [(a, b, a + 1), (b, b + 1, a + 1)]
+                if column < RING // 2
+                else [(a, b, b + 1), (a, b + 1, a + 1)]
+            )
     return np.array(faces)
 
 
@@ -106,7 +141,9 @@ def _rows(upper_lip: np.ndarray, lower_lip: np.ndarray) -> np.ndarray:
 
 
 def _uvs() -> np.ndarray:
-    """(120, 2) UV coordinates, a row of the teeth a height; the strip's middle is left empty between the jaws."""
+    """(120, 2) UV coordinates, a row of the teeth a height; the strip's middle is left empty between the
+    jaws.
+    """
     heights = np.empty(8)
     heights[list(_ROWS_IN_UV)] = np.linspace(*_FREE_V, 9)[[0, 1, 2, 3, 5, 6, 7, 8]]
     u = np.linspace(*_FREE_U, RING)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from samira_warp.errors import UserError
+from samira_warp.support.errors import UserError
 
 JOINTS = 5
 """FLAME's joints, in its order: root, neck, jaw, two eyes."""
@@ -20,20 +20,23 @@ JOINTS = 5
 
 @dataclass(frozen=True, eq=False)
 class HeadTemplate:
-    """A head with FLAME's layout and any number of vertices and shapes; lengths in metres, +z out of the face, +y up.
+    """A head with FLAME's layout and any number of vertices and shapes; lengths in metres, +z out of the
+    face, +y up.
 
     Attributes:
         v_template: (V, 3) float32 mean head.
         shapedirs: (V, 3, S + E) float32 linear shapes: identity first, then expression.
         n_shape: S, how many of them are identity.
-        posedirs: (V, 3, 36) float32 correctives for the entries of the four non-root joints' rotations less the identity.
+        posedirs: (V, 3, 36) float32 correctives for the entries of the four non-root joints' rotations less
+            the identity.
         joint_regressor: (5, V) float32 joint locations from vertices.
         parents: (5,) int32 parent of each joint, -1 for the root.
         weights: (V, 5) float32 skinning weights, each row summing to 1.
         faces: (F, 3) int32 vertex ids.
         vt: (T, 2) float32 UV coordinates, u to the right and v up.
         ft: (F, 3) int32 ids of the faces' UV coordinates.
-        masks: Vertex ids (int32) of each named region, as the file has them: they may overlap and leave vertices out.
+        masks: Vertex ids (int32) of each named region, as the file has them: they may overlap and leave
+            vertices out.
         expression_names: E names.
     """
 
@@ -74,12 +77,14 @@ class HeadTemplate:
 def read_template(path: str | Path) -> HeadTemplate:
     """Read and check a template.
 
-    The file holds v_template, shapedirs, n_shape, posedirs, J_regressor, kintree_table, weights, f, vt and ft as `HeadTemplate`
-    describes them, and optionally expression_names and any number of mask_<region>. Nothing in it is unpickled.
+    The file holds v_template, shapedirs, n_shape, posedirs, J_regressor, kintree_table, weights, f, vt and ft
+    as `HeadTemplate` describes them, and optionally expression_names and any number of mask_<region>. Nothing
+    in it is unpickled.
 
     Raises:
-        UserError: The file is missing, is no npz, or a key is missing or has a wrong shape, an index out of range or a value that is
-            not finite; the message names the file, the key, what was expected and what was found.
+        UserError: The file is missing, is no npz, or a key is missing or has a wrong shape, an index out of
+            range or a value that is not finite; the message names the file, the key, what was expected and
+            what was found.
     """
     path = Path(path)
     return template_of(path, load_arrays(path))
@@ -160,7 +165,11 @@ def load_arrays(path: Path) -> dict[str, np.ndarray]:
         UserError: The file is missing, is a pickle, or an array in it cannot be read.
     """
     if path.suffix.lower() in {".pkl", ".pickle"}:
-        raise UserError(path, expected="an npz file with FLAME's keys", found="a pickle, which may run code when it is read")
+        raise UserError(
+            path,
+            expected="an npz file with FLAME's keys",
+            found="a pickle, which may run code when it is read",
+        )
     if not path.is_file():
         raise UserError(path, expected="an npz file with FLAME's keys", found="no such file")
     arrays: dict[str, np.ndarray] = {}
@@ -170,8 +179,18 @@ def load_arrays(path: Path) -> dict[str, np.ndarray]:
             for key in archive.files:
                 place = f"{path}: {key}"
                 arrays[key] = archive[key]
-    except (ValueError, TypeError, AttributeError, OSError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        raise UserError(place, expected="an npz file of plain arrays", found=f"unreadable content ({error})") from error
+    except (
+        ValueError,
+        TypeError,
+        AttributeError,
+        OSError,
+        EOFError,
+        zipfile.BadZipFile,
+        zlib.error,
+    ) as error:
+        raise UserError(
+            place, expected="an npz file of plain arrays", found=f"unreadable content ({error})"
+        ) from error
     return arrays
 
 
@@ -190,7 +209,9 @@ class _Reader:
         wanted = f"({', '.join('any' if size is None else str(size) for size in shape)})"
         self.expect(key, key in self.arrays, f"an array of shape {wanted}", "no such key")
         array = self.arrays[key]
-        fits = array.ndim == len(shape) and all(want in (None, have) for want, have in zip(shape, array.shape, strict=True))
+        fits = array.ndim == len(shape) and all(
+            want in (None, have) for want, have in zip(shape, array.shape, strict=True)
+        )
         self.expect(key, fits, f"shape {wanted}", f"shape {array.shape}")
         return array
 
@@ -206,7 +227,9 @@ class _Reader:
         self.expect(key, array.dtype.kind in "iu", "integers", f"{array.dtype}")
         if array.size:
             found = f"{array.min()} to {array.max()}"
-            self.expect(key, low <= array.min() and array.max() < high, f"integers from {low} to {high - 1}", found)
+            self.expect(
+                key, low <= array.min() and array.max() < high, f"integers from {low} to {high - 1}", found
+            )
         return array.astype(np.int32)
 
     def parents(self) -> np.ndarray:

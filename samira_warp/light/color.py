@@ -6,32 +6,45 @@ from typing import Literal
 
 import torch
 
-from samira_warp.kernels.display import CURVE_OFFSET, CURVE_POWER, CURVE_SCALE, LINE_SLOPE, LINEAR_END
+from samira_warp.kernels.shading.display import CURVE_OFFSET, CURVE_POWER, CURVE_SCALE, LINE_SLOPE, LINEAR_END
 
 ColorSpace = Literal["srgb", "raw"]
 """What image values mean: "srgb" is the encoded sRGB of linear shading, "raw" the shading itself."""
 
 
 def encode_srgb(linear: torch.Tensor) -> torch.Tensor:
-    """Linear values of any shape to sRGB display values. Not clipped: 1 and above go on along the curve, negative ones along its line."""
+    """Linear values of any shape to sRGB display values. Not clipped: 1 and above go on along the curve,
+    negative ones along its line.
+    """
     curved = linear.clamp(min=LINEAR_END)
-    return torch.where(linear <= LINEAR_END, LINE_SLOPE * linear, CURVE_SCALE * curved**CURVE_POWER - CURVE_OFFSET)
+    return torch.where(
+        linear <= LINEAR_END, LINE_SLOPE * linear, CURVE_SCALE * curved**CURVE_POWER - CURVE_OFFSET
+    )
 
 
 def decode_srgb(display: torch.Tensor) -> torch.Tensor:
     """Inverse of `encode_srgb`."""
     end = LINE_SLOPE * LINEAR_END
     curved = display.clamp(min=end)
-    return torch.where(display <= end, display / LINE_SLOPE, ((curved + CURVE_OFFSET) / CURVE_SCALE) ** (1 / CURVE_POWER))
+    return torch.where(
+        display <= end, display / LINE_SLOPE, ((curved + CURVE_OFFSET) / CURVE_SCALE) ** (1 / CURVE_POWER)
+    )
 
 
 def to_display(values: torch.Tensor, *, color_space: ColorSpace) -> torch.Tensor:
-    """What shading works in, as a picture shows it: encoded where that is linear light, as it is where it is image values."""
+    """What shading works in, as a picture shows it: encoded where that is linear light, as it is where it is
+    image values.
+    """
     return encode_srgb(values) if color_space == "srgb" else values
 
 
 def compose(
-    foreground: torch.Tensor, alpha: torch.Tensor, background: torch.Tensor, *, exposure: float = 1.0, color_space: ColorSpace = "srgb"
+    foreground: torch.Tensor,
+    alpha: torch.Tensor,
+    background: torch.Tensor,
+    *,
+    exposure: float = 1.0,
+    color_space: ColorSpace = "srgb",
 ) -> torch.Tensor:
     """Eq. alpha_compose in display values: I = alpha encode(C_fg exposure) + (1 - alpha) background.
 

@@ -1,8 +1,9 @@
 """Cube crosses, and cubemaps at another size or turn.
 
-A cross shows the world as it is seen from within, and the same way round as a panorama: straight ahead of the camera (-z) in the middle, +x
-on its right, up above. That is OpenGL's cross (+Y above, -X, +Z, +X, -Z in a row, -Y below) in OpenGL's left-handed axes, whose z points
-the other way. An upright cross has the face behind below the bottom one, upside down.
+A cross shows the world as it is seen from within, and the same way round as a panorama: straight ahead of the
+camera (-z) in the middle, +x on its right, up above. That is OpenGL's cross (+Y above, -X, +Z, +X, -Z in a
+row, -Y below) in OpenGL's left-handed axes, whose z points the other way. An upright cross has the face
+behind below the bottom one, upside down.
 """
 
 from __future__ import annotations
@@ -11,20 +12,29 @@ import math
 
 import torch
 
-from samira_warp.errors import UserError
-from samira_warp.kernels.cubemap import FACES, texel_directions, texel_solid_angles
-from samira_warp.kernels.cubemap_lookup import sample_cubemap
+from samira_warp.kernels.cubemap.layout import FACES, texel_directions, texel_solid_angles
+from samira_warp.kernels.cubemap.lookup import sample_cubemap
 from samira_warp.light.equirect import turn_directions
-from samira_warp.validation import check_tensor
+from samira_warp.support.errors import UserError
+from samira_warp.support.validation import check_tensor
 
 _COLUMNS, _ROWS = 1, 0
-"""The axis along which a face is mirrored between a cubemap in OpenGL's orientation and a cross that is seen from within."""
+"""The axis along which a face is mirrored between a cubemap in OpenGL's orientation and a cross that is seen
+from within."""
 
-_LYING = ((1, 2, _COLUMNS), (1, 0, _COLUMNS), (0, 1, _ROWS), (2, 1, _ROWS), (1, 3, _COLUMNS), (1, 1, _COLUMNS))
+_LYING = (
+    (1, 2, _COLUMNS),
+    (1, 0, _COLUMNS),
+    (0, 1, _ROWS),
+    (2, 1, _ROWS),
+    (1, 3, _COLUMNS),
+    (1, 1, _COLUMNS),
+)
 """Row, column and mirrored axis of each face, +x to -z, in a cross of 4 x 3 faces."""
 
 _UPRIGHT = (*_LYING[:4], (3, 1, _ROWS), _LYING[5])
-"""The same in a cross of 3 x 4 faces: the face behind is turned by half a turn, which mirrors its other axis."""
+"""The same in a cross of 3 x 4 faces: the face behind is turned by half a turn, which mirrors its other
+axis."""
 
 
 def is_cross(height: int, width: int) -> bool:
@@ -33,7 +43,8 @@ def is_cross(height: int, width: int) -> bool:
 
 
 def cross_to_cube(cross: torch.Tensor) -> torch.Tensor:
-    """The faces of a cross (3 S, 4 S, C) or (4 S, 3 S, C) as a cubemap (6, S, S, C), texel for texel; what is beside them is not looked at.
+    """The faces of a cross (3 S, 4 S, C) or (4 S, 3 S, C) as a cubemap (6, S, S, C), texel for texel; what is
+    beside them is not looked at.
 
     Raises:
         UserError: It is no cross.
@@ -43,7 +54,10 @@ def cross_to_cube(cross: torch.Tensor) -> torch.Tensor:
     if not is_cross(height, width):
         raise UserError("cross", expected="4 x 3 or 3 x 4 square faces", found=f"{width} x {height}")
     places, size = (_LYING, width // 4) if width > height else (_UPRIGHT, width // 3)
-    faces = [cross[row * size : (row + 1) * size, column * size : (column + 1) * size].flip(axis) for row, column, axis in places]
+    faces = [
+        cross[row * size : (row + 1) * size, column * size : (column + 1) * size].flip(axis)
+        for row, column, axis in places
+    ]
     return torch.stack(faces)
 
 
@@ -60,8 +74,9 @@ def cube_to_cross(cubemap: torch.Tensor) -> torch.Tensor:
 def resample_cube(cubemap: torch.Tensor, *, size: int, rotate: float = 0.0) -> torch.Tensor:
     """A cubemap at another size, or turned; each texel is the mean over its solid angle.
 
-    A map whose size is a multiple of the new one, and that is not turned, is averaged exactly in whole blocks; any other is averaged in
-    blocks as far as they go and then sampled at least twice as densely as its texels.
+    A map whose size is a multiple of the new one, and that is not turned, is averaged exactly in whole
+    blocks; any other is averaged in blocks as far as they go and then sampled at least twice as densely as
+    its texels.
 
     Args:
         cubemap: (6, S, S, C) float32, linear.

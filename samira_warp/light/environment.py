@@ -10,13 +10,13 @@ from typing import Literal
 
 import torch
 
-from samira_warp.camera import Camera
-from samira_warp.errors import UserError
-from samira_warp.images import write_exr
-from samira_warp.kernels.cubemap import check_cubemap, texel_solid_angles
+from samira_warp.geometry.camera import Camera
+from samira_warp.io.images import write_exr
+from samira_warp.kernels.cubemap.layout import check_cubemap, texel_solid_angles
 from samira_warp.light.cross import cube_to_cross
 from samira_warp.light.filtered import FilteredLight
 from samira_warp.light.radiance_map import RadianceMap
+from samira_warp.support.errors import UserError
 
 DIFFUSE_FILE = "light_diffuse.exr"
 SPECULAR_FILE = "light_specular.exr"
@@ -29,7 +29,8 @@ LUMINANCE = (0.2126, 0.7152, 0.0722)
 """Weights of linear red, green and blue in luminance (ITU-R BT.709)."""
 
 Exposure = float | Literal["auto"]
-"""A factor on the light, or the one at which the luminance of the irradiance, averaged over all directions, is 1."""
+"""A factor on the light, or the one at which the luminance of the irradiance, averaged over all directions,
+is 1."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +39,8 @@ class Environment:
 
     Attributes:
         diffuse: (6, S, S, 3) float32 linear radiance that diffuse surfaces see.
-        specular: (6, S', S', 3) float32 linear radiance that shiny surfaces see. A real light has one map for both.
+        specular: (6, S', S', 3) float32 linear radiance that shiny surfaces see. A real light has one map for
+            both.
         backdrop: What the camera sees of it, at its file's own resolution; None is ``specular``.
     """
 
@@ -59,20 +61,23 @@ class Environment:
     ) -> Environment:
         """Read one map, or the two maps of a learned light.
 
-        A map is an equirectangular panorama (2:1) or a cube cross (4:3 or 3:4, see `samira_warp.light.cross`). A cross no finer than
-        ``size`` whose texels can be filtered as they are is not resampled, so a learned light that was saved comes back bit by bit.
+        A map is an equirectangular panorama (2:1) or a cube cross (4:3 or 3:4, see
+        `samira_warp.light.cross`). A cross no finer than ``size`` whose texels can be filtered as they are is
+        not resampled, so a learned light that was saved comes back bit by bit.
 
         Args:
-            path: The map; the diffuse map where ``specular`` is given; or an avatar's folder, for its learned light.
+            path: The map; the diffuse map where ``specular`` is given; or an avatar's folder, for its learned
+                light.
             specular: The map that shiny surfaces and the camera see; default the same as ``path``.
-            rotate: Degrees: direction d sees column 0.5 + atan2(d.x, -d.z) / (2 pi) + rotate / 360 of a panorama.
+            rotate: Degrees: direction d sees column 0.5 + atan2(d.x, -d.z) / (2 pi) + rotate / 360 of a
+                panorama.
             exposure: Factor of at least 0 on the radiance, or auto.
             size: Texels along a face of the resampled map, divisible by 16.
             ldr: Also take 8-bit pictures, decoded from sRGB.
 
         Raises:
-            UserError: An argument is out of its range; a file is missing, unreadable, 8-bit, of another shape, or holds values that are
-                not finite; or auto is asked of a black map.
+            UserError: An argument is out of its range; a file is missing, unreadable, 8-bit, of another
+                shape, or holds values that are not finite; or auto is asked of a black map.
         """
         check_exposure(exposure)
         if not math.isfinite(rotate):
@@ -82,37 +87,54 @@ class Environment:
         if specular is None and Path(path).is_dir():
             path, specular = learned_pair(path)
         diffuse_map = replace(RadianceMap.read(path, ldr=ldr), rotate=rotate)
-        specular_map = diffuse_map if specular is None else replace(RadianceMap.read(specular, ldr=ldr), rotate=rotate)
+        specular_map = (
+            diffuse_map if specular is None else replace(RadianceMap.read(specular, ldr=ldr), rotate=rotate)
+        )
         specular_cube = _filterable(specular_map, size=size, multiple=SPECULAR_MULTIPLE)
-        diffuse_cube = specular_cube if specular is None else _filterable(diffuse_map, size=size, multiple=DIFFUSE_MULTIPLE)
+        diffuse_cube = (
+            specular_cube
+            if specular is None
+            else _filterable(diffuse_map, size=size, multiple=DIFFUSE_MULTIPLE)
+        )
         return cls(diffuse_cube, specular_cube, specular_map).exposed(exposure, name=path)
 
     @classmethod
     def from_cubemaps(cls, diffuse: torch.Tensor, specular: torch.Tensor) -> Environment:
-        """A light of two maps (6, S, S, 3) of linear radiance, such as a learned one: S even, and divisible by 16 for ``specular``.
+        """A light of two maps (6, S, S, 3) of linear radiance, such as a learned one: S even, and divisible
+        by 16 for ``specular``.
 
         Raises:
             UserError: A map is of another shape or dtype, or they are on two devices.
         """
-        for name, cubemap, multiple in (("diffuse", diffuse, DIFFUSE_MULTIPLE), ("specular", specular, SPECULAR_MULTIPLE)):
+        for name, cubemap, multiple in (
+            ("diffuse", diffuse, DIFFUSE_MULTIPLE),
+            ("specular", specular, SPECULAR_MULTIPLE),
+        ):
             check_cubemap(name, cubemap, channels=3, device=diffuse.device)
             if cubemap.shape[1] % multiple:
-                raise UserError(name, expected=f"faces whose size is a multiple of {multiple}", found=cubemap.shape[1])
+                raise UserError(
+                    name, expected=f"faces whose size is a multiple of {multiple}", found=cubemap.shape[1]
+                )
         return cls(diffuse, specular)
 
     def save(self, folder: Path) -> None:
-        """Write the two cubemaps into a folder as crosses of 32-bit floats, which `load` gives back bit by bit."""
+        """Write the two cubemaps into a folder as crosses of 32-bit floats, which `load` gives back bit by
+        bit.
+        """
         for name, cubemap in ((DIFFUSE_FILE, self.diffuse), (SPECULAR_FILE, self.specular)):
             write_exr(folder / name, cube_to_cross(cubemap.detach()).cpu().numpy())
 
     def filtered(self) -> FilteredLight:
         """Irradiance and prefiltered mips. Takes a second or two for a map of 256: keep the result."""
         light = FilteredLight.of(self.diffuse, self.specular)
-        # Sums over the cube's parities round to some 1e-7 of the brightest light, which may fall below 0 where no light is.
+        # Sums over the cube's parities round to some 1e-7 of the brightest light, which may fall below 0
+        # where no light is.
         return FilteredLight(light.irradiance.clamp(min=0), tuple(mip.clamp(min=0) for mip in light.specular))
 
     def background(self, camera: Camera, *, rotate: float = 0.0) -> torch.Tensor:
-        """(H, W, 3) linear radiance that the camera sees behind the head, the light turned by so many degrees more."""
+        """(H, W, 3) linear radiance that the camera sees behind the head, the light turned by so many degrees
+        more.
+        """
         return self.visible.behind(camera, rotate=rotate)
 
     @property
@@ -124,11 +146,14 @@ class Environment:
         """The light times a factor, or at the exposure ``auto``.
 
         Raises:
-            UserError: The exposure is none, or the automatic one of a light without light is asked for; ``name`` is what it is called.
+            UserError: The exposure is none, or the automatic one of a light without light is asked for;
+                ``name`` is what it is called.
         """
         check_exposure(exposure)
         if exposure == "auto":
-            luminance = float(self.mean_irradiance() @ self.diffuse.new_tensor(LUMINANCE, dtype=torch.float64))
+            luminance = float(
+                self.mean_irradiance() @ self.diffuse.new_tensor(LUMINANCE, dtype=torch.float64)
+            )
             if luminance <= 0.0:
                 raise UserError(name, expected="some light, to expose automatically", found="a black map")
             exposure = 1.0 / luminance
@@ -136,7 +161,9 @@ class Environment:
         return Environment(self.diffuse * exposure, self.specular * exposure, backdrop)
 
     def mean_irradiance(self) -> torch.Tensor:
-        """(3,) float64 mean over all directions of E_d, which is the mean of the radiance that diffuse surfaces see."""
+        """(3,) float64 mean over all directions of E_d, which is the mean of the radiance that diffuse
+        surfaces see.
+        """
         areas = texel_solid_angles(self.diffuse.shape[1], dtype=torch.float64, device=self.diffuse.device)
         return (self.diffuse.double() * areas[..., None]).sum(dim=(0, 1, 2)) / (4.0 * math.pi)
 
@@ -147,7 +174,9 @@ class Environment:
 
 
 def check_exposure(exposure: Exposure, *, name: str = "exposure") -> None:
-    """Raise UserError unless ``exposure`` is auto or a finite factor of at least 0; ``name`` is what it is called."""
+    """Raise UserError unless ``exposure`` is auto or a finite factor of at least 0; ``name`` is what it is
+    called.
+    """
     if exposure != "auto" and not (isinstance(exposure, Real) and 0.0 <= exposure < math.inf):
         raise UserError(name, expected="a factor of at least 0, or auto", found=exposure)
 

@@ -1,7 +1,8 @@
 """Equirectangular panoramas to cubemaps and back.
 
-Direction d sees column u = 0.5 + atan2(d.x, -d.z) / (2 pi) + rotate / 360 (mod 1, from the left) and row acos(d.y) / pi (from the top):
-the centre column lies straight ahead of the camera (-z), the right-hand quarter along +x.
+Direction d sees column u = 0.5 + atan2(d.x, -d.z) / (2 pi) + rotate / 360 (mod 1, from the left) and row
+acos(d.y) / pi (from the top): the centre column lies straight ahead of the camera (-z), the right-hand
+quarter along +x.
 """
 
 from __future__ import annotations
@@ -10,20 +11,22 @@ import math
 
 import torch
 
-from samira_warp.errors import UserError
-from samira_warp.kernels.cubemap import FACES, texel_directions, texel_solid_angles
-from samira_warp.kernels.cubemap_lookup import sample_cubemap
-from samira_warp.validation import check_tensor
+from samira_warp.kernels.cubemap.layout import FACES, texel_directions, texel_solid_angles
+from samira_warp.kernels.cubemap.lookup import sample_cubemap
+from samira_warp.support.errors import UserError
+from samira_warp.support.validation import check_tensor
 
 _SAMPLES_PER_PIXEL = 3
-"""Samples per pixel of the panorama, along each axis: a lamp of one pixel keeps its energy to a few percent, a map to some 1e-3."""
+"""Samples per pixel of the panorama, along each axis: a lamp of one pixel keeps its energy to a few percent,
+a map to some 1e-3."""
 
 
 def equirect_to_cube(equirect: torch.Tensor, *, size: int, rotate: float = 0.0) -> torch.Tensor:
     """Resample a panorama as a cubemap; each texel is the mean over its solid angle.
 
-    A panorama much finer than the cubemap is first averaged by solid angle in whole blocks of pixels, then every texel averages samples
-    three times as dense as the remaining pixels, so no light falls between them. A uniform map stays uniform; means are kept to some 1e-3.
+    A panorama much finer than the cubemap is first averaged by solid angle in whole blocks of pixels, then
+    every texel averages samples three times as dense as the remaining pixels, so no light falls between them.
+    A uniform map stays uniform; means are kept to some 1e-3.
 
     Args:
         equirect: (H, W, C) float32, linear.
@@ -39,22 +42,29 @@ def equirect_to_cube(equirect: torch.Tensor, *, size: int, rotate: float = 0.0) 
     check_tensor("equirect", equirect, shape=("H", "W", "C"))
     if min(equirect.shape) == 0 or size < 1:
         raise UserError(
-            "equirect", expected="at least one pixel, for a cubemap of at least one texel", found=f"{tuple(equirect.shape)}, {size}"
+            "equirect",
+            expected="at least one pixel, for a cubemap of at least one texel",
+            found=f"{tuple(equirect.shape)}, {size}",
         )
     equirect = _shrink(equirect, columns=4 * size)
     samples = max(2, math.ceil(_SAMPLES_PER_PIXEL * equirect.shape[1] / (4 * size)))
-    directions = texel_directions(size, device=equirect.device, supersample=samples).view(FACES, size, samples, size, samples, 3)
+    directions = texel_directions(size, device=equirect.device, supersample=samples).view(
+        FACES, size, samples, size, samples, 3
+    )
     areas = texel_solid_angles(size * samples, device=equirect.device).view(size, samples, size, samples)
     padded = wrap_equirect(equirect)
     total = equirect.new_zeros(FACES, size, size, equirect.shape[2])
     for j in range(samples):
         for i in range(samples):
-            total = total + areas[:, j, :, i, None] * _look_up(padded, directions[:, :, j, :, i], rotate=rotate)
+            total = total + areas[:, j, :, i, None] * _look_up(
+                padded, directions[:, :, j, :, i], rotate=rotate
+            )
     return total / areas.sum(dim=(1, 3))[..., None]
 
 
 def cube_to_equirect(cubemap: torch.Tensor, *, height: int) -> torch.Tensor:
-    """Resample a cubemap (6, S, S, C) float32 as a panorama (height, 2 height, C) with rotate = 0; differentiable.
+    """Resample a cubemap (6, S, S, C) float32 as a panorama (height, 2 height, C) with rotate = 0;
+    differentiable.
 
     Each pixel averages samples at least as dense as the texels.
     """
@@ -64,7 +74,9 @@ def cube_to_equirect(cubemap: torch.Tensor, *, height: int) -> torch.Tensor:
     return seen.view(height, samples, 2 * height, samples, -1).mean(dim=(1, 3))
 
 
-def direction_to_equirect(directions: torch.Tensor, *, rotate: float = 0.0) -> tuple[torch.Tensor, torch.Tensor]:
+def direction_to_equirect(
+    directions: torch.Tensor, *, rotate: float = 0.0
+) -> tuple[torch.Tensor, torch.Tensor]:
     """Column u and row v, each (...) in [0, 1], that unit directions (..., 3) see."""
     u = 0.5 + torch.atan2(directions[..., 0], -directions[..., 2]) / (2 * math.pi) + rotate / 360.0
     v = torch.acos(directions[..., 1].clamp(-1, 1)) / math.pi
@@ -78,7 +90,9 @@ def row_solid_angles(height: int, width: int, *, device: torch.device | str = "c
 
 
 def turn_directions(directions: torch.Tensor, rotate: float) -> torch.Tensor:
-    """Where to look up, in a light as it was, what unit directions (..., 3) see of it once it is turned by ``rotate`` degrees."""
+    """Where to look up, in a light as it was, what unit directions (..., 3) see of it once it is turned by
+    ``rotate`` degrees.
+    """
     cosine, sine = math.cos(math.radians(rotate)), math.sin(math.radians(rotate))
     x, y, z = directions.unbind(dim=-1)
     return torch.stack([cosine * x - sine * z, y, sine * x + cosine * z], dim=-1)
@@ -87,31 +101,45 @@ def turn_directions(directions: torch.Tensor, rotate: float) -> torch.Tensor:
 def equirect_directions(height: int, *, device: torch.device | str = "cpu") -> torch.Tensor:
     """(height, 2 height, 3) float32 unit directions of a panorama's pixel centres, rotate = 0."""
     polar = (torch.arange(height, dtype=torch.float64, device=device) + 0.5) * (math.pi / height)
-    around = (torch.arange(2 * height, dtype=torch.float64, device=device) + 0.5) * (math.pi / height) - math.pi
+    around = (torch.arange(2 * height, dtype=torch.float64, device=device) + 0.5) * (
+        math.pi / height
+    ) - math.pi
     polar, around = torch.meshgrid(polar, around, indexing="ij")
-    directions = [torch.sin(polar) * torch.sin(around), torch.cos(polar), -torch.sin(polar) * torch.cos(around)]
+    directions = [
+        torch.sin(polar) * torch.sin(around),
+        torch.cos(polar),
+        -torch.sin(polar) * torch.cos(around),
+    ]
     return torch.stack(directions, dim=-1).to(torch.float32)
 
 
 def wrap_equirect(equirect: torch.Tensor, *, border: int = 1) -> torch.Tensor:
-    """(H + 2 border, W + 2 border, C): beyond the seam comes the other end of the row, beyond a pole its other side."""
+    """(H + 2 border, W + 2 border, C): beyond the seam comes the other end of the row, beyond a pole its
+    other side.
+    """
     height, width = equirect.shape[:2]
     rows = torch.arange(-border, height + border, device=equirect.device)
     columns = torch.arange(-border, width + border, device=equirect.device)
     over_pole = (rows < 0) | (rows >= height)
-    rows = torch.where(rows < 0, -1 - rows, torch.where(rows >= height, 2 * height - 1 - rows, rows)).clamp(0, height - 1)
+    rows = torch.where(rows < 0, -1 - rows, torch.where(rows >= height, 2 * height - 1 - rows, rows)).clamp(
+        0, height - 1
+    )
     columns = (columns + over_pole[:, None] * (width // 2)) % width
     return equirect[rows[:, None], columns]
 
 
 def _shrink(equirect: torch.Tensor, *, columns: int) -> torch.Tensor:
-    """Average whole blocks of pixels, weighted by solid angle, while at least ``columns`` columns are left."""
+    """Average whole blocks of pixels, weighted by solid angle, while at least ``columns`` columns are
+    left.
+    """
     height, width, channels = equirect.shape
     factor = math.gcd(height, width)
     factor = max(f for f in range(1, factor + 1) if factor % f == 0 and (f == 1 or width // f >= columns))
     if factor == 1:
         return equirect
-    weights = row_solid_angles(height, width, device=equirect.device).to(equirect.dtype).view(-1, factor, 1, 1)
+    weights = (
+        row_solid_angles(height, width, device=equirect.device).to(equirect.dtype).view(-1, factor, 1, 1)
+    )
     blocks = equirect.view(height // factor, factor, width // factor, factor * channels)
     rows = (blocks * weights).sum(dim=1) / weights.sum(dim=1)
     return rows.view(height // factor, width // factor, factor, channels).mean(dim=2)
@@ -122,7 +150,9 @@ def _look_up(padded: torch.Tensor, directions: torch.Tensor, *, rotate: float) -
     height, width = padded.shape[0] - 2, padded.shape[1] - 2
     u, v = direction_to_equirect(directions, rotate=rotate)
     # Pixel centres of the panorama lie at 1.5, 2.5, ... of the padded one.
-    grid = torch.stack([2 * (u * width + 1) / (width + 2) - 1, 2 * (v * height + 1) / (height + 2) - 1], dim=-1).view(1, 1, -1, 2)
+    grid = torch.stack(
+        [2 * (u * width + 1) / (width + 2) - 1, 2 * (v * height + 1) / (height + 2) - 1], dim=-1
+    ).view(1, 1, -1, 2)
     pixels = padded.permute(2, 0, 1)[None]
     seen = torch.nn.functional.grid_sample(pixels, grid, padding_mode="border", align_corners=False)
     return seen[0, :, 0].T.view(*directions.shape[:-1], -1)

@@ -6,11 +6,12 @@ from dataclasses import dataclass
 
 import torch
 
-from samira_warp.kernels.cubemap_filter import irradiance, prefilter
+from samira_warp.kernels.cubemap.filter import irradiance, prefilter
 
 ROUGHNESS_STEP = 0.125
-"""Roughness between one specular mip and the next; the first mip is the unfiltered light. Steps of 0.25 blur a small sun between two mips
-to several times what it is at 0.35, and ten times at 0.1, where eyes glint (``bench light --hdri``)."""
+"""Roughness between one specular mip and the next; the first mip is the unfiltered light. Steps of 0.25 blur
+a small sun between two mips to several times what it is at 0.35, and ten times at 0.1, where eyes glint
+(``bench light --hdri``)."""
 
 IRRADIANCE_SIZE = 16
 """Texels along a face of the irradiance map: a cosine lobe holds nothing finer."""
@@ -25,7 +26,8 @@ class FilteredLight:
 
     Attributes:
         irradiance: (6, 16, 16, 3) float32, E_d: the cosine-weighted mean radiance about each direction.
-        specular: Mips (6, S, S, 3) float32: the radiance itself, then E_s at every ROUGHNESS_STEP up to a roughness of 1.
+        specular: Mips (6, S, S, 3) float32: the radiance itself, then E_s at every ROUGHNESS_STEP up to a
+            roughness of 1.
     """
 
     irradiance: torch.Tensor
@@ -33,7 +35,8 @@ class FilteredLight:
 
     @classmethod
     def of(cls, diffuse: torch.Tensor, specular: torch.Tensor) -> FilteredLight:
-        """Filter two radiance maps (often one and the same) for diffuse and for specular light; differentiable in both.
+        """Filter two radiance maps (often one and the same) for diffuse and for specular light;
+        differentiable in both.
 
         Args:
             diffuse: (6, S, S, 3) float32 linear radiance, S even.

@@ -13,14 +13,18 @@ _RADIANCE_MIN = 1e-4
 
 
 class LearnableLight(nn.Module):
-    """Two cubemaps of radiance, for diffuse and for specular light, kept positive by softplus and bounded by nothing; tied, they are one.
+    """Two cubemaps of radiance, for diffuse and for specular light, kept positive by softplus and bounded by
+    nothing; tied, they are one.
 
     Attributes:
-        diffuse: (6, 16, 16, 3) float32 parameter; its softplus is radiance. None where diffuse surfaces see the specular map.
+        diffuse: (6, 16, 16, 3) float32 parameter; its softplus is radiance. None where diffuse surfaces see
+            the specular map.
         specular: (6, 64, 64, 3) float32 parameter; its softplus is radiance.
     """
 
-    def __init__(self, radiance: torch.Tensor, *, tied: bool = False, diffuse_size: int = 16, specular_size: int = 64) -> None:
+    def __init__(
+        self, radiance: torch.Tensor, *, tied: bool = False, diffuse_size: int = 16, specular_size: int = 64
+    ) -> None:
         """Start as a uniform light.
 
         Args:
@@ -38,7 +42,9 @@ class LearnableLight(nn.Module):
         self.specular = nn.Parameter(start.expand(6, specular_size, specular_size, 3).clone())
 
     def radiance(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """The diffuse and the specular map, (6, S, S, 3) linear radiance; one and the same where they are tied."""
+        """The diffuse and the specular map, (6, S, S, 3) linear radiance; one and the same where they are
+        tied.
+        """
         specular = nn.functional.softplus(self.specular)
         return specular if self.diffuse is None else nn.functional.softplus(self.diffuse), specular
 

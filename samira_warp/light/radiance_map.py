@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from samira_warp.camera import Camera
-from samira_warp.errors import UserError
-from samira_warp.images import Channels, is_linear, read_channels
-from samira_warp.kernels.cubemap_lookup import sample_cubemap
-from samira_warp.kernels.equirect_lookup import picture_equirect
+from samira_warp.geometry.camera import Camera
+from samira_warp.io.images import Channels, is_linear, read_channels
+from samira_warp.kernels.cubemap.equirect import picture_equirect
+from samira_warp.kernels.cubemap.lookup import sample_cubemap
 from samira_warp.light.color import decode_srgb
 from samira_warp.light.cross import cross_to_cube, is_cross, resample_cube
 from samira_warp.light.equirect import equirect_to_cube, turn_directions
+from samira_warp.support.errors import UserError
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +32,8 @@ class RadianceMap:
 
     @classmethod
     def read(cls, path: str | Path, *, ldr: bool = False) -> RadianceMap:
-        """Read a map of any size: an equirectangular panorama (2:1) or a cube cross, lying (4:3) or upright (3:4).
+        """Read a map of any size: an equirectangular panorama (2:1) or a cube cross, lying (4:3) or upright
+        (3:4).
 
         The shape tells which it is. A single channel becomes grey; slightly negative values become 0.
 
@@ -41,8 +42,8 @@ class RadianceMap:
             ldr: Also take files of whole numbers (.jpg, .png), decoded from sRGB.
 
         Raises:
-            UserError: The file is missing, unreadable, of whole numbers without ``ldr``, of another shape, or holds values that are not
-                finite.
+            UserError: The file is missing, unreadable, of whole numbers without ``ldr``, of another shape, or
+                holds values that are not finite.
         """
         path = Path(path)
         linear = is_linear(path)
@@ -72,12 +73,16 @@ class RadianceMap:
         return self.texels.shape[1] if self.texels.dim() == 4 else None
 
     def to_cube(self, size: int) -> torch.Tensor:
-        """(6, size, size, 3) radiance, each texel the mean over its solid angle; a cubemap of that size that is not turned is itself."""
+        """(6, size, size, 3) radiance, each texel the mean over its solid angle; a cubemap of that size that
+        is not turned is itself.
+        """
         convert = equirect_to_cube if self.face_size is None else resample_cube
         return convert(self.texels, size=size, rotate=self.rotate)
 
     def look(self, directions: torch.Tensor) -> torch.Tensor:
-        """(..., 3) radiance that unit directions (..., 3) float32 see, smooth between the map's own texels."""
+        """(..., 3) radiance that unit directions (..., 3) float32 see, smooth between the map's own
+        texels.
+        """
         if self.face_size is None:
             return picture_equirect(self.texels, directions, rotate=self.rotate)
         turned = turn_directions(directions, self.rotate).reshape(-1, 3)
@@ -85,7 +90,9 @@ class RadianceMap:
 
     def behind(self, camera: Camera, *, rotate: float = 0.0) -> torch.Tensor:
         """(H, W, 3) what a camera sees of it, turned by so many degrees more."""
-        return self.look(turn_directions(camera.to(self.texels.device).ray_directions().to(torch.float32), rotate))
+        return self.look(
+            turn_directions(camera.to(self.texels.device).ray_directions().to(torch.float32), rotate)
+        )
 
     def exposed(self, factor: float) -> RadianceMap:
         """The same map with its radiance multiplied."""
@@ -97,7 +104,9 @@ class RadianceMap:
 
 
 def _rgb(channels: Channels, path: Path) -> np.ndarray:
-    """(H, W, 3) colour of a file's channels: R, G and B whatever is beside them, or the only one there is beside alpha."""
+    """(H, W, 3) colour of a file's channels: R, G and B whatever is beside them, or the only one there is
+    beside alpha.
+    """
     names = channels.names
     if all(name in names for name in "RGB"):
         return channels.pixels[..., [names.index(name) for name in "RGB"]]

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import torch
 
-from samira_warp.kernels.cubemap import check_cubemap
-from samira_warp.kernels.deferred_shading import Shaded, shade_gbuffer
+from samira_warp.kernels.cubemap.layout import check_cubemap
+from samira_warp.kernels.shading.deferred import Shaded, shade_gbuffer
 from samira_warp.light.brdf import brdf_table
 from samira_warp.light.color import ColorSpace
 from samira_warp.light.filtered import FilteredLight
-from samira_warp.validation import check_tensor
+from samira_warp.support.validation import check_tensor
 
 
 def shade(
@@ -34,15 +34,16 @@ def shade(
 
     Args:
         albedo: (M, 3) float32, linear, 0 to 1.
-        normal: (M, 3) unit normals in world space; a point with a zero normal sees no light and gets no gradient.
+        normal: (M, 3) unit normals in world space; a point with a zero normal sees no light and gets no
+            gradient.
         roughness: (M, 1), clamped to 0 to 1.
         specular: (M, 1) reflectance f at normal incidence.
         response_diffuse: (M, 1) tau_d.
         response_specular: (M, 1) tau_s.
         view: (M, 3) unit directions from the point to the camera.
         light: The filtered light, on the same device.
-        alpha: (M, 1) coverage; None covers every point. Where it is below 1/255 there is no surface, and next to no work: C_fg, L_d and
-            L_s are 0, and only alpha itself gets a gradient.
+        alpha: (M, 1) coverage; None covers every point. Where it is below 1/255 there is no surface, and next
+            to no work: C_fg, L_d and L_s are 0, and only alpha itself gets a gradient.
         background: Display values behind: a number or (M, 3); a constant.
         exposure: Factor on C_fg; a constant.
         color_space: "srgb" encodes C_fg; "raw" takes its values for display values.
@@ -69,7 +70,9 @@ def shade(
         "alpha": torch.ones(count, 1, device=device) if alpha is None else alpha,
     }
     for name, values in surface.items():
-        check_tensor(name, values, shape=(count, 3 if name in ("albedo", "normal", "view") else 1), device=device)
+        check_tensor(
+            name, values, shape=(count, 3 if name in ("albedo", "normal", "view") else 1), device=device
+        )
     if isinstance(background, torch.Tensor):
         check_tensor("background", background, shape=(count, 3), device=device)
         background = background.detach()

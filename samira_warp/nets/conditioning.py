@@ -11,7 +11,8 @@ STANDARD_DEVIATION_FLOOR = 1e-4
 """Below this a condition did not vary in the training frames: it carries nothing and is set to zero."""
 
 CONDITION_LIMIT = 3.0
-"""Deviations; another sequence's conditions are held to these, or to the training frames' own extremes where those reach farther."""
+"""Deviations; another sequence's conditions are held to these, or to the training frames' own extremes where
+those reach farther."""
 
 
 class Conditions(NamedTuple):
@@ -45,7 +46,10 @@ class ConditionStatistics(nn.Module):
         for name in Conditions._fields:
             stacked = torch.stack([getattr(condition, name) for condition in conditions])
             deviation = stacked.std(dim=0, correction=0)
-            mean, scale = stacked.mean(dim=0), torch.where(deviation < STANDARD_DEVIATION_FLOOR, 0.0, 1.0 / deviation)
+            mean, scale = (
+                stacked.mean(dim=0),
+                torch.where(deviation < STANDARD_DEVIATION_FLOOR, 0.0, 1.0 / deviation),
+            )
             extreme = ((stacked - mean) * scale).abs().amax(dim=0)
             setattr(statistics, f"{name}_mean", mean)
             setattr(statistics, f"{name}_scale", scale)
@@ -54,7 +58,12 @@ class ConditionStatistics(nn.Module):
 
     def forward(self, conditions: Conditions) -> Conditions:
         """Standardise and hold to the limits; what was constant in training becomes 0."""
-        return Conditions(*(self._standardise(name, value) for name, value in zip(Conditions._fields, conditions, strict=True)))
+        return Conditions(
+            *(
+                self._standardise(name, value)
+                for name, value in zip(Conditions._fields, conditions, strict=True)
+            )
+        )
 
     def _standardise(self, name: str, value: torch.Tensor) -> torch.Tensor:
         limit = getattr(self, f"{name}_limit")
@@ -66,7 +75,9 @@ class AdaptiveInstanceNorm(nn.Module):
 
     def __init__(self, channels: int, condition_size: int, *, hidden: int) -> None:
         super().__init__()
-        self.affine = nn.Sequential(nn.Linear(condition_size, hidden), nn.SiLU(), nn.Linear(hidden, 2 * channels))
+        self.affine = nn.Sequential(
+            nn.Linear(condition_size, hidden), nn.SiLU(), nn.Linear(hidden, 2 * channels)
+        )
 
     def forward(self, features: torch.Tensor, condition: torch.Tensor) -> torch.Tensor:
         """Apply to (1, C, H, W) features with a (D,) condition."""

@@ -10,7 +10,7 @@ from pathlib import Path
 import torch
 from torch import nn
 
-from samira_warp.errors import UserError
+from samira_warp.support.errors import UserError
 
 logger = logging.getLogger(__name__)
 
@@ -31,7 +31,9 @@ RANDOM_ENCODER = "random"
 
 
 @torch.no_grad()
-def encode_reference(image: torch.Tensor, *, encoder: str = DEFAULT_ENCODER, levels: int = 3) -> tuple[list[torch.Tensor], str]:
+def encode_reference(
+    image: torch.Tensor, *, encoder: str = DEFAULT_ENCODER, levels: int = 3
+) -> tuple[list[torch.Tensor], str]:
     """Multi-level features {F_l^img} of the reference image.
 
     Args:
@@ -40,18 +42,23 @@ def encode_reference(image: torch.Tensor, *, encoder: str = DEFAULT_ENCODER, lev
         levels: L, number of pyramid levels, from the finest.
 
     Returns:
-        The features, finest first, each (1, C_l, H_l, W_l) and standardised per channel; and what made them, for the record.
+        The features, finest first, each (1, C_l, H_l, W_l) and standardised per channel; and what made them,
+        for the record.
     """
     backbone, origin = _load_backbone(encoder, levels)
     options = {"dtype": image.dtype, "device": image.device}
-    mean, deviation = (torch.tensor(values, **options).view(1, 3, 1, 1) for values in (IMAGE_MEAN, IMAGE_DEVIATION))
+    mean, deviation = (
+        torch.tensor(values, **options).view(1, 3, 1, 1) for values in (IMAGE_MEAN, IMAGE_DEVIATION)
+    )
     pixels = (image.permute(2, 0, 1)[None] - mean) / deviation
     features = backbone.to(image.device).eval()(pixels).feature_maps
     return [nn.functional.instance_norm(level).contiguous() for level in features], origin
 
 
 def _load_backbone(encoder: str, levels: int) -> tuple[nn.Module, str]:
-    """The backbone and its name; random features stand in for the default one where it cannot be had, and for no other."""
+    """The backbone and its name; random features stand in for the default one where it cannot be had, and for
+    no other.
+    """
     with torch.random.fork_rng(devices=[]):
         if encoder == RANDOM_ENCODER:
             return _random_backbone(levels), RANDOM_ENCODER
@@ -60,8 +67,14 @@ def _load_backbone(encoder: str, levels: int) -> tuple[nn.Module, str]:
         except (OSError, ValueError, KeyError, ImportError) as error:
             reason = str(error).strip().splitlines()[0]
             if encoder != DEFAULT_ENCODER:
-                raise UserError(f"--encoder {encoder}", expected="a backbone of transformers, by hub id or folder", found=reason) from error
-            logger.warning("image encoder %s cannot be had (%s): fixed random features stand in for it", encoder, reason)
+                raise UserError(
+                    f"--encoder {encoder}",
+                    expected="a backbone of transformers, by hub id or folder",
+                    found=reason,
+                ) from error
+            logger.warning(
+                "image encoder %s cannot be had (%s): fixed random features stand in for it", encoder, reason
+            )
             return _random_backbone(levels), RANDOM_ENCODER
 
 
@@ -74,7 +87,9 @@ def _pretrained_backbone(encoder: str, levels: int) -> nn.Module:
     from transformers import AutoBackbone, AutoConfig
 
     local = Path(encoder).is_dir() or not _hub_answers(encoder)
-    config = AutoConfig.from_pretrained(encoder, out_indices=list(range(1, levels + 1)), local_files_only=local)
+    config = AutoConfig.from_pretrained(
+        encoder, out_indices=list(range(1, levels + 1)), local_files_only=local
+    )
     # AutoBackbone asks the hub even for a local folder; the concrete class does not.
     concrete = type(AutoBackbone.from_config(config))
     return concrete.from_pretrained(encoder, config=config, local_files_only=local)
@@ -86,7 +101,9 @@ def _hub_answers(encoder: str) -> bool:
 
     if constants.HF_HUB_OFFLINE:
         return False
-    request = urllib.request.Request(f"{constants.ENDPOINT}/{encoder}/resolve/main/config.json", method="HEAD")
+    request = urllib.request.Request(
+        f"{constants.ENDPOINT}/{encoder}/resolve/main/config.json", method="HEAD"
+    )
     try:
         urllib.request.urlopen(request, timeout=HUB_TIMEOUT).close()
     except urllib.error.HTTPError:

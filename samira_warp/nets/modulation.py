@@ -1,4 +1,6 @@
-"""Semantic-adaptive residual modulation over disjoint UV masks (Eqs. region_modulation and region_feature)."""
+"""Semantic-adaptive residual modulation over disjoint UV masks (Eqs. region_modulation and
+region_feature).
+"""
 
 from __future__ import annotations
 
@@ -9,8 +11,9 @@ from torch import nn
 class RegionModulators(nn.Module):
     """One small modulator phi_k a region, as grouped convolutions, and the smoothing block eta.
 
-    phi_k is a linear 1x1 projection, a 3x3 convolution, an activation and a 1x1 convolution, with one group a region. The projection has no
-    bias, so projecting and then masking equals masking and then projecting, F * S_k, without a copy of the input for every region.
+    phi_k is a linear 1x1 projection, a 3x3 convolution, an activation and a 1x1 convolution, with one group a
+    region. The projection has no bias, so projecting and then masking equals masking and then projecting, F *
+    S_k, without a copy of the input for every region.
     """
 
     def __init__(self, in_channels: int, channels: int, *, masks: torch.Tensor, shared: bool = False) -> None:
@@ -20,7 +23,8 @@ class RegionModulators(nn.Module):
             in_channels: Channels of [F_sh, F_d].
             channels: Channels of each F_k.
             masks: (K, H, W) disjoint masks S_k of 0 and 1.
-            shared: One modulator for all regions, masks kept (the paper's ablation of semantic-adaptive modulation).
+            shared: One modulator for all regions, masks kept (the paper's ablation of semantic-adaptive
+                modulation).
         """
         super().__init__()
         self.regions = masks.shape[0]
@@ -37,7 +41,9 @@ class RegionModulators(nn.Module):
     def forward(self, features: torch.Tensor) -> torch.Tensor:
         """F_sem (1, C, H, W) of [F_sh, F_d] (1, C_in, H, W)."""
         height, width = features.shape[-2:]
-        projected = self.project(features).view(1, -1, self.mix.out_channels // self.mix.groups, height, width)
+        projected = self.project(features).view(
+            1, -1, self.mix.out_channels // self.mix.groups, height, width
+        )
         masked = projected * self.masks
         if self.shared:
             modulated = self.out(nn.functional.silu(self.mix(masked[0])))[None]

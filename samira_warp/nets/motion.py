@@ -1,4 +1,6 @@
-"""The semantic-adaptive motion network: UV displacement, reference appearance and head parameters to a UV residual map."""
+"""The semantic-adaptive motion network: UV displacement, reference appearance and head parameters to a UV
+residual map.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +41,9 @@ class MotionSettings:
 
 
 class MotionNetwork(nn.Module):
-    """Eqs. uv_geom_feat to dynamic_map. The last layer starts at zero, so the residual starts at exactly zero."""
+    """Eqs. uv_geom_feat to dynamic_map. The last layer starts at zero, so the residual starts at exactly
+    zero.
+    """
 
     def __init__(
         self,
@@ -64,21 +68,31 @@ class MotionNetwork(nn.Module):
         super().__init__()
         self.settings = settings
         width = settings.width
-        self.register_buffer("reference", fourier_features(reference_positions[None], bands=settings.bands), persistent=False)
+        self.register_buffer(
+            "reference", fourier_features(reference_positions[None], bands=settings.bands), persistent=False
+        )
         for level, features in enumerate(image_features):
             self.register_buffer(f"image_features_{level}", features)
         channels = fourier_channels(3, bands=settings.bands)
         self.position = nn.Sequential(nn.Conv2d(channels, width, 1), nn.SiLU(), nn.Conv2d(width, width, 1))
-        self.displacement = nn.Sequential(nn.Conv2d(channels, width, 1), nn.SiLU(), nn.Conv2d(width, width, 1))
+        self.displacement = nn.Sequential(
+            nn.Conv2d(channels, width, 1), nn.SiLU(), nn.Conv2d(width, width, 1)
+        )
         # without bias: the instance normalisation that follows would remove it
-        self.lateral = nn.ModuleList(nn.Conv2d(features.shape[1], width, 1, bias=False) for features in image_features)
+        self.lateral = nn.ModuleList(
+            nn.Conv2d(features.shape[1], width, 1, bias=False) for features in image_features
+        )
         self.gates = nn.Parameter(torch.zeros(len(image_features)))
         condition_sizes = (3, expression_size, pose_size)
-        self.adain = nn.ModuleList(AdaptiveInstanceNorm(width, size, hidden=settings.condition_width) for size in condition_sizes)
+        self.adain = nn.ModuleList(
+            AdaptiveInstanceNorm(width, size, hidden=settings.condition_width) for size in condition_sizes
+        )
         self.fuse = nn.ModuleList(nn.Conv2d(width, width, 3, padding=1) for _ in image_features)
         self.shared = nn.Conv2d(2 * width, width, 3, padding=1)
         routes = masks if settings.routing else torch.ones_like(masks[:1])
-        self.modulators = RegionModulators(2 * width, settings.region_width, masks=routes, shared=not settings.modulation)
+        self.modulators = RegionModulators(
+            2 * width, settings.region_width, masks=routes, shared=not settings.modulation
+        )
         self.decode = nn.Conv2d(settings.region_width + width, width, 3, padding=1)
         self.residual = nn.Conv2d(width, RESIDUAL_CHANNELS, 1)
         nn.init.zeros_(self.residual.weight)
@@ -105,7 +119,9 @@ class MotionNetwork(nn.Module):
         return self.residual(decoded)[0]
 
     def _shared_feature(self, position: torch.Tensor, conditions: Conditions) -> torch.Tensor:
-        """F_sh (Eqs. uv_gate to shared_uv_feature), from coarse to fine: coarse <- pose, middle <- expression, fine <- translation."""
+        """F_sh (Eqs. uv_gate to shared_uv_feature), from coarse to fine: coarse <- pose, middle <-
+        expression, fine <- translation.
+        """
         fused: torch.Tensor | None = None
         for level in reversed(range(len(self.lateral))):
             image = self.lateral[level](getattr(self, f"image_features_{level}"))

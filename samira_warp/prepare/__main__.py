@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import sys
 
-from samira_warp.cli import run
 from samira_warp.prepare.config import PrepareConfig
 from samira_warp.prepare.prepare import prepare
+from samira_warp.support.cli import run
 
 
 def main(config: PrepareConfig) -> None:

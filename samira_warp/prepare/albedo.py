@@ -8,10 +8,10 @@ from tqdm import tqdm
 
 from samira_warp.data import FrameFiles
 from samira_warp.data.pictures import key_of, pictures_of
-from samira_warp.errors import UserError
-from samira_warp.images import read_on_white, write_png
+from samira_warp.io.images import read_on_white, write_png
 from samira_warp.prepare.frames import frame_name
 from samira_warp.prepare.matting import fitted
+from samira_warp.support.errors import UserError
 
 CHECKPOINT = "weights/albedo/checkpoints/last.ckpt"
 
@@ -24,7 +24,9 @@ INSTALL = (
 def command(dataset: Path, folder: Path) -> str:
     """How IntrinsicAnything is run, in its own folder, on a dataset's images."""
     images, masks = ((dataset / name).resolve() for name in ("images", "fg_masks"))
-    options = f"--input_dir {images} --mask_dir {masks} --output_dir {folder.resolve()} --ddim 100 --batch_size 4"
+    options = (
+        f"--input_dir {images} --mask_dir {masks} --output_dir {folder.resolve()} --ddim 100 --batch_size 4"
+    )
     return f"python inference.py --model_dir weights/albedo {options}"
 
 
@@ -48,7 +50,11 @@ def match_albedo(source: Path, frames: tuple[FrameFiles, ...]) -> dict[FrameFile
             found[frame] = path
     if not found:
         names = f"{frames[0].name}.png or {Path(frame_name(frames[0].timestep)).stem}.png"
-        raise UserError(source, expected=f"albedo images named as the frames, {names}", found=f"{len(given)} pictures of other names")
+        raise UserError(
+            source,
+            expected=f"albedo images named as the frames, {names}",
+            found=f"{len(given)} pictures of other names",
+        )
     return found
 
 

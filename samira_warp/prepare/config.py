@@ -8,17 +8,18 @@ from pathlib import Path
 
 from tyro.conf import Positional
 
-from samira_warp.devices import DeviceName
-from samira_warp.errors import UserError
 from samira_warp.prepare.crop import Crop
+from samira_warp.support.devices import DeviceName
+from samira_warp.support.errors import UserError
 
 
 @dataclass(frozen=True)
 class PrepareConfig:
     """Make a dataset of a video of one head: frames, head crop, mattes, tracking by VHAP, pseudo-albedo.
 
-    Run the same command again after an interrupt, or after installing what was missing: a stage whose output is there is skipped, one that
-    was begun goes on, and all that follow a stage with other inputs are done anew. OUT/dataset is what train reads.
+    Run the same command again after an interrupt, or after installing what was missing: a stage whose output
+    is there is skipped, one that was begun goes on, and all that follow a stage with other inputs are done
+    anew. OUT/dataset is what train reads.
     """
 
     video: Positional[Path]
@@ -30,15 +31,18 @@ class PrepareConfig:
     fps: float | None = None
     """Frames to take of a second; default all of them."""
     crop: str | None = None
-    """Square of the video to keep, X,Y,SIDE in pixels from its upper left; default what Robust Video Matting takes for the head."""
+    """Square of the video to keep, X,Y,SIDE in pixels from its upper left; default what Robust Video Matting
+    takes for the head."""
     mattes: Path | None = None
     """Folder of mattes made by another program, named as OUT/film/images; default Robust Video Matting's."""
     vhap: Path | None = None
-    """Folder of VHAP (a clone of github.com/ShenhanQian/VHAP with FLAME's files in its asset/flame); default where its Python has it."""
+    """Folder of VHAP (a clone of github.com/ShenhanQian/VHAP with FLAME's files in its asset/flame); default
+    where its Python has it."""
     vhap_python: str = "conda run --no-capture-output -n VHAP python"
     """How to call the Python of VHAP's environment."""
     albedo: Path | None = None
-    """Folder of albedo images by any intrinsic method, named as OUT/dataset/images or OUT/film/images; some may be missing."""
+    """Folder of albedo images by any intrinsic method, named as OUT/dataset/images or OUT/film/images; some
+    may be missing."""
     device: DeviceName = "auto"
     """Where mattes are computed."""
 
@@ -68,5 +72,7 @@ def parse_crop(text: str, *, width: int, height: int) -> Crop:
     except ValueError:
         raise UserError("--crop", expected="X,Y,SIDE, three whole numbers", found=repr(text)) from None
     if min(x, y) < 0 or side < 1 or x + side > width or y + side > height:
-        raise UserError("--crop", expected=f"a square within the video's {width} x {height} pixels", found=text)
+        raise UserError(
+            "--crop", expected=f"a square within the video's {width} x {height} pixels", found=text
+        )
     return Crop(x, y, side)

@@ -1,6 +1,7 @@
 """The square of a video that is kept: one for all frames, so that the camera stays one.
 
-The head is found in mattes, which tracking needs anyway: what stands above the narrowest place between head and shoulders.
+The head is found in mattes, which tracking needs anyway: what stands above the narrowest place between head
+and shoulders.
 """
 
 from __future__ import annotations
@@ -12,10 +13,12 @@ import numpy as np
 from scipy import ndimage
 
 NECK_WIDTH = 0.85
-"""Below the first row that is narrower than this share of the widest one above, the neck begins; cheeks and hair vary less."""
+"""Below the first row that is narrower than this share of the widest one above, the neck begins; cheeks and
+hair vary less."""
 
 ROOM = 1.5
-"""Side of the crop in sizes of the head: all of the neck, some of the shoulders, and room to move between the frames looked at."""
+"""Side of the crop in sizes of the head: all of the neck, some of the shoulders, and room to move between the
+frames looked at."""
 
 OUTLIERS = 0.04
 """Share of heads at each end that do not count: a hand before the face, a matte that failed."""
@@ -51,8 +54,9 @@ class Box(NamedTuple):
 def find_head(matte: np.ndarray) -> Box | None:
     """The head in one matte.
 
-    It ends where the largest covered piece is narrowest between the head and what grows wider than the head again, or at its lower end
-    where nothing does. Under long hair there is no such place: then it is the whole piece.
+    It ends where the largest covered piece is narrowest between the head and what grows wider than the head
+    again, or at its lower end where nothing does. Under long hair there is no such place: then it is the
+    whole piece.
 
     Args:
         matte: (H, W) coverage in 0..1.
@@ -86,7 +90,10 @@ def crop_around(heads: Iterable[Box], *, width: int, height: int) -> Crop | None
     left, top = np.quantile(boxes[:, :2], OUTLIERS, axis=0)
     right, bottom = np.quantile(boxes[:, 2:], 1.0 - OUTLIERS, axis=0)
     side = min(round(ROOM * max(right - left, bottom - top)), width, height)
-    x, y = (min(max(round(0.5 * (low + high - side)), 0), size - side) for low, high, size in ((left, right, width), (top, bottom, height)))
+    x, y = (
+        min(max(round(0.5 * (low + high - side)), 0), size - side)
+        for low, high, size in ((left, right, width), (top, bottom, height))
+    )
     return Crop(x, y, side)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from PIL import Image
 from tqdm import tqdm
 
-from samira_warp.images import resize_box, to_uint8
+from samira_warp.io.images import resize_box, to_uint8
 from samira_warp.prepare.crop import Crop
 from samira_warp.prepare.video import Picture, VideoFacts, read_pictures
 
@@ -33,12 +33,16 @@ def sampled(video: Path, facts: VideoFacts) -> Iterator[np.ndarray]:
         UserError: The video is broken.
     """
     step = max(facts.count // SAMPLES, 1)
-    for number, picture in enumerate(tqdm(read_pictures(video), total=facts.count or None, desc="looking for the head", unit="frame")):
+    for number, picture in enumerate(
+        tqdm(read_pictures(video), total=facts.count or None, desc="looking for the head", unit="frame")
+    ):
         if number % step == 0:
             yield picture.pixels()
 
 
-def write_frames(video: Path, facts: VideoFacts, folder: Path, *, crop: Crop, size: int, fps: float | None) -> int:
+def write_frames(
+    video: Path, facts: VideoFacts, folder: Path, *, crop: Crop, size: int, fps: float | None
+) -> int:
     """Write the frames that are not there yet; each appears whole or not at all.
 
     Args:
@@ -59,7 +63,9 @@ def write_frames(video: Path, facts: VideoFacts, folder: Path, *, crop: Crop, si
     folder.mkdir(parents=True, exist_ok=True)
     clear_unfinished(folder)
     side, count = min(size, crop.side), 0
-    bar = tqdm(read_pictures(video), total=facts.count or None, desc="frames", unit="frame", dynamic_ncols=True)
+    bar = tqdm(
+        read_pictures(video), total=facts.count or None, desc="frames", unit="frame", dynamic_ncols=True
+    )
     for picture in thinned(bar, fps):
         path = folder / frame_name(count)
         if not path.exists():
@@ -83,8 +89,8 @@ def thinned(pictures: Iterator[Picture], fps: float | None) -> Iterator[Picture]
 def write_whole(path: Path, picture: np.ndarray) -> None:
     """Write a JPEG under a hidden name and rename it.
 
-    By Pillow and in memory first: where the disk is full, OpenImageIO's writer of this format ends the process, and Pillow's, given a
-    file, does not see that it is cut short.
+    By Pillow and in memory first: where the disk is full, OpenImageIO's writer of this format ends the
+    process, and Pillow's, given a file, does not see that it is cut short.
 
     Args:
         path: Where to; its folder must exist.

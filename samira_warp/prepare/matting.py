@@ -12,10 +12,10 @@ import torch
 from tqdm import tqdm
 
 from samira_warp.data.pictures import pictures_of
-from samira_warp.devices import DeviceName, pick_device
-from samira_warp.errors import UserError
-from samira_warp.images import image_size, read_image, read_rgba, resize_box
+from samira_warp.io.images import image_size, read_image, read_rgba, resize_box
 from samira_warp.prepare.frames import clear_unfinished, write_whole
+from samira_warp.support.devices import DeviceName, pick_device
+from samira_warp.support.errors import UserError
 
 REPOSITORY = "PeterL1n/RobustVideoMatting:53d74c6"
 """At the commit whose code was looked at: what a branch's name stands for may change."""
@@ -26,13 +26,16 @@ VARIANTS = {"cuda": "resnet50", "cpu": "mobilenetv3"}
 INSTALL = "pip install torchvision, of your torch's build (https://pytorch.org), and run this once with access to github.com"
 
 WARM_UP = 10
-"""Pictures that the recurrent network sees before the first whose matte counts, as VHAP has it: it begins with a guess."""
+"""Pictures that the recurrent network sees before the first whose matte counts, as VHAP has it: it begins
+with a guess."""
 
 CHUNK = 100
-"""Frames between fresh starts of the recurrent network: an interrupted run goes on from one, to the same mattes."""
+"""Frames between fresh starts of the recurrent network: an interrupted run goes on from one, to the same
+mattes."""
 
 SHARP_SIDE = 512
-"""Pixels of the longer side at which the network looks at a whole picture (its authors' rule); the rest is refined."""
+"""Pixels of the longer side at which the network looks at a whole picture (its authors' rule); the rest is
+refined."""
 
 ASPECT_TOLERANCE = 0.01
 """Relative; a matte of another shape than its frame is another picture's."""
@@ -55,7 +58,9 @@ def load_matting(device: DeviceName) -> Matte:
     if importlib.util.find_spec("torchvision") is None:
         raise MattingMissing("torchvision is not installed")
     try:
-        network = torch.hub.load(REPOSITORY, VARIANTS[chosen.type], trust_repo=True, skip_validation=True, verbose=False)
+        network = torch.hub.load(
+            REPOSITORY, VARIANTS[chosen.type], trust_repo=True, skip_validation=True, verbose=False
+        )
     except Exception as fault:  # a missing network, a broken torchvision, another repository's code: all end in the same advice
         raise MattingMissing(" ".join(f"{type(fault).__name__}: {fault}".split())) from fault
     network = network.eval().to(chosen)
@@ -93,7 +98,9 @@ def write_mattes(matte: Matte, frames: dict[str, Path], folder: Path) -> None:
             chunk = names[first : first + CHUNK]
             if not all((folder / frames[name].name).exists() for name in chunk):
                 before = names[max(first - WARM_UP, 0) : first] or [names[0]] * WARM_UP
-                _write_chunk(matte, [frames[name] for name in before], [frames[name] for name in chunk], folder)
+                _write_chunk(
+                    matte, [frames[name] for name in before], [frames[name] for name in chunk], folder
+                )
             bar.update(len(chunk))
 
 
@@ -118,7 +125,11 @@ def copy_mattes(source: Path, frames: dict[str, Path], folder: Path) -> None:
     clear_unfinished(folder)
     for name in tqdm(sorted(frames), desc="mattes", unit="frame", dynamic_ncols=True):
         if name not in given:
-            raise UserError(source, expected=f"a matte of every frame, as {name}.png", found=f"{len(given)} pictures, none of that name")
+            raise UserError(
+                source,
+                expected=f"a matte of every frame, as {name}.png",
+                found=f"{len(given)} pictures, none of that name",
+            )
         if (folder / frames[name].name).exists():
             continue
         alpha = read_rgba(given[name])[1]
@@ -142,7 +153,11 @@ def fitted(values: np.ndarray, path: Path, frame: Path) -> np.ndarray:
     """
     width, height = image_size(frame)
     if abs(values.shape[1] * height / (values.shape[0] * width) - 1.0) > ASPECT_TOLERANCE:
-        raise UserError(path, expected=f"the shape of {frame} ({width} x {height})", found=f"{values.shape[1]} x {values.shape[0]}")
+        raise UserError(
+            path,
+            expected=f"the shape of {frame} ({width} x {height})",
+            found=f"{values.shape[1]} x {values.shape[0]}",
+        )
     return resize_box(values, width=width, height=height)
 
 

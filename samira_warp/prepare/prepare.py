@@ -5,7 +5,8 @@
     OUT/dataset                            VHAP's export, and albedo in it
     OUT/stages                             what is done, from what
 
-What an option does not ask for anew stays as it is: a crop, mattes and albedo that were given once are kept when the option is left out.
+What an option does not ask for anew stays as it is: a crop, mattes and albedo that were given once are kept
+when the option is left out.
 """
 
 from __future__ import annotations
@@ -16,14 +17,14 @@ from typing import Any
 
 from samira_warp.data import open_listing
 from samira_warp.data.pictures import pictures_of
-from samira_warp.errors import UserError
-from samira_warp.files import replace_folder
+from samira_warp.io.files import replace_folder
 from samira_warp.prepare import albedo, matting, tracking
 from samira_warp.prepare.config import PrepareConfig, parse_crop
 from samira_warp.prepare.crop import Crop, crop_around, find_head, middle
 from samira_warp.prepare.frames import sampled, write_frames
 from samira_warp.prepare.stages import Stage, check_root, file_identity, folder_identity
 from samira_warp.prepare.video import VideoFacts, read_facts
+from samira_warp.support.errors import UserError
 
 MIDDLE = "the middle, for want of mattes"
 NETWORK, NOTHING = "Robust Video Matting", "nothing"
@@ -31,13 +32,15 @@ NETWORK, NOTHING = "Robust Video Matting", "nothing"
 
 
 def prepare(config: PrepareConfig) -> Path:
-    """Run every stage whose output is not there, and say what could not be run and what the avatar loses by it.
+    """Run every stage whose output is not there, and say what could not be run and what the avatar loses by
+    it.
 
     Returns:
         The dataset's folder.
 
     Raises:
-        UserError: The video or an option cannot be used, or there is no tracker: then everything before it is done.
+        UserError: The video or an option cannot be used, or there is no tracker: then everything before it is
+            done.
     """
     config.check()
     facts = read_facts(config.video)
@@ -71,11 +74,15 @@ class _Preparation:
         if asked is None and before.inputs.get("video") == video:
             stage = before
         found = stage.done()
-        if found is None or (found["by"] == MIDDLE and not self._has_mattes() and self._network() is not None):
+        if found is None or (
+            found["by"] == MIDDLE and not self._has_mattes() and self._network() is not None
+        ):
             stage.begin()
             crop, by = (asked, "--crop") if asked is not None else self._head()
             stage.finish({"crop": list(crop), "by": by})
-            _say(f"the square of {crop.side} pixels at {crop.x},{crop.y} of {self.facts.width} x {self.facts.height} is kept, by {by}")
+            _say(
+                f"the square of {crop.side} pixels at {crop.x},{crop.y} of {self.facts.width} x {self.facts.height} is kept, by {by}"
+            )
         return stage
 
     def frames(self, cropped: Stage) -> Stage:
@@ -103,7 +110,9 @@ class _Preparation:
                 matting.write_opaque(pictures, self.alpha_maps)
             stage.finish({})
         if method == NOTHING:
-            _say("no mattes: whatever is behind the head becomes part of the avatar; --mattes DIR takes another program's")
+            _say(
+                "no mattes: whatever is behind the head becomes part of the avatar; --mattes DIR takes another program's"
+            )
         return stage
 
     def track(self, mattes: Stage, vhap: tracking.Vhap | None) -> Stage:
@@ -122,7 +131,9 @@ class _Preparation:
         if stage.done(folder) is None:
             tracker, log = self._tracker(vhap), self.root / "dataset.log"
             stage.begin(folder)
-            replace_folder(folder, lambda fresh: tracking.export(tracker, self.root / "tracking", fresh, log=log))
+            replace_folder(
+                folder, lambda fresh: tracking.export(tracker, self.root / "tracking", fresh, log=log)
+            )
             stage.finish({})
         return stage
 
@@ -155,7 +166,9 @@ class _Preparation:
         return self._stage(name, **self._stage(name).finished())
 
     def _matting_method(self, frames: Stage) -> str:
-        """Where mattes come from: the option's folder, else where those of these frames came from, else the network if it can be had."""
+        """Where mattes come from: the option's folder, else where those of these frames came from, else the
+        network if it can be had.
+        """
         if self.config.mattes is not None:
             return f"folder {folder_identity(pictures_of(self.config.mattes))}"
         before = self._finished("mattes").inputs
@@ -167,10 +180,15 @@ class _Preparation:
         return len(pictures_of(self.alpha_maps)) == frames.done()["count"]
 
     def _has_mattes(self) -> bool:
-        return self.config.mattes is not None or self._finished("mattes").inputs.get("method", NOTHING) != NOTHING
+        return (
+            self.config.mattes is not None
+            or self._finished("mattes").inputs.get("method", NOTHING) != NOTHING
+        )
 
     def _network(self) -> matting.Matte | None:
-        """Robust Video Matting, fetched when it is first asked for; None, said once, where it cannot be had."""
+        """Robust Video Matting, fetched when it is first asked for; None, said once, where it cannot be
+        had.
+        """
         if self._matte is None:
             try:
                 self._matte = matting.load_matting(self.config.device)
@@ -189,10 +207,15 @@ class _Preparation:
                 "--crop X,Y,SIDE keeps another square, the tighter the sharper"
             )
             return middle(width=width, height=height), MIDDLE
-        heads = (find_head(matting.matte_still(network, picture)) for picture in sampled(self.config.video, self.facts))
+        heads = (
+            find_head(matting.matte_still(network, picture))
+            for picture in sampled(self.config.video, self.facts)
+        )
         crop = crop_around((head for head in heads if head is not None), width=width, height=height)
         if crop is None:
-            raise UserError(self.config.video, expected="a person, or --crop X,Y,SIDE", found="nobody in its mattes")
+            raise UserError(
+                self.config.video, expected="a person, or --crop X,Y,SIDE", found="nobody in its mattes"
+            )
         return crop, "its mattes"
 
     def _tracker(self, given: tracking.Vhap | None) -> tracking.Vhap:
@@ -200,7 +223,9 @@ class _Preparation:
         if vhap is None:
             advice = f"{tracking.INSTALL}; FLAME's files in VHAP/asset/flame; then this again"
             expected = f"VHAP for tracking, without which there is no avatar: {advice}"
-            raise UserError("--vhap", expected=expected, found=f"none; frames and mattes are in {self.root / 'film'}")
+            raise UserError(
+                "--vhap", expected=expected, found=f"none; frames and mattes are in {self.root / 'film'}"
+            )
         return vhap
 
 

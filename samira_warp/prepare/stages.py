@@ -1,4 +1,6 @@
-"""Which stages of a preparation are done, from what: one small file a stage, written when its output is whole."""
+"""Which stages of a preparation are done, from what: one small file a stage, written when its output is
+whole.
+"""
 
 from __future__ import annotations
 
@@ -9,8 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from samira_warp.errors import UserError
-from samira_warp.files import read_json, replace_file
+from samira_warp.io.files import read_json, replace_file
+from samira_warp.support.errors import UserError
 
 ORDER = ("crop", "frames", "mattes", "tracking", "dataset", "albedo")
 """Each stage follows from those before it."""
@@ -47,10 +49,15 @@ class Stage:
     def finished(self) -> dict[str, Any]:
         """The inputs that the stage was last finished with, whatever they were; empty if it never was."""
         record = self._record()
-        return record["inputs"] if record.get("result") is not None and isinstance(record.get("inputs"), dict) else {}
+        return (
+            record["inputs"]
+            if record.get("result") is not None and isinstance(record.get("inputs"), dict)
+            else {}
+        )
 
     def begin(self, *outputs: Path) -> None:
-        """Go on with what was begun with these inputs, or clear the outputs for a new start; later stages have to follow.
+        """Go on with what was begun with these inputs, or clear the outputs for a new start; later stages
+        have to follow.
 
         Args:
             outputs: Files and folders of this stage alone.
@@ -72,7 +79,9 @@ class Stage:
 
     def key(self) -> str:
         """Digest of what the stage was made from and what it found: an input of the stages that follow."""
-        return hashlib.sha256(json.dumps([self.inputs, self.done()], sort_keys=True).encode()).hexdigest()[:16]
+        return hashlib.sha256(json.dumps([self.inputs, self.done()], sort_keys=True).encode()).hexdigest()[
+            :16
+        ]
 
     def _record(self) -> dict[str, Any]:
         return read_json(self.marker) if self.marker.is_file() else {}
@@ -88,15 +97,23 @@ def check_root(root: Path, outputs: tuple[str, ...]) -> None:
         raise UserError(root, expected="a folder", found="a file")
     foreign = [name for name in outputs if (root / name).exists()]
     if foreign and not (root / MARKERS).is_dir():
-        raise UserError(root, expected="a new folder, or one that prepare has made", found=f"{foreign[0]} of another origin in it")
+        raise UserError(
+            root,
+            expected="a new folder, or one that prepare has made",
+            found=f"{foreign[0]} of another origin in it",
+        )
 
 
 def file_identity(path: Path) -> list[str | int]:
-    """What tells a file from another, or from itself after a change, wherever it is moved: its name, size and time."""
+    """What tells a file from another, or from itself after a change, wherever it is moved: its name, size and
+    time.
+    """
     facts = path.stat()
     return [path.name, facts.st_size, facts.st_mtime_ns]
 
 
 def folder_identity(pictures: dict[str, Path]) -> str:
     """Digest of the identities of a folder's pictures."""
-    return hashlib.sha256(json.dumps([file_identity(path) for _, path in sorted(pictures.items())]).encode()).hexdigest()[:16]
+    return hashlib.sha256(
+        json.dumps([file_identity(path) for _, path in sorted(pictures.items())]).encode()
+    ).hexdigest()[:16]

@@ -1,4 +1,6 @@
-"""VHAP, called by its own command line: it needs an environment of its own, and is no part of this project."""
+"""VHAP, called by its own command line: it needs an environment of its own, and is no part of this
+project.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +15,7 @@ from typing import NamedTuple
 from tqdm import tqdm
 
 from samira_warp.data import open_listing
-from samira_warp.errors import UserError
+from samira_warp.support.errors import UserError
 
 INSTALL = (
     "git clone https://github.com/ShenhanQian/VHAP && conda create -n VHAP -y python=3.10 && conda run -n VHAP "
@@ -44,10 +46,14 @@ def given_vhap(folder: Path, python: str) -> Vhap:
     """
     for script in (TRACK, EXPORT):
         if not (folder / script).is_file():
-            raise UserError(f"--vhap {folder}", expected=f"VHAP's folder ({INSTALL})", found=f"no {script} in it")
+            raise UserError(
+                f"--vhap {folder}", expected=f"VHAP's folder ({INSTALL})", found=f"no {script} in it"
+            )
     words = _command(python)
     if shutil.which(words[0]) is None:
-        raise UserError("--vhap-python", expected="the Python of VHAP's environment", found=f"no command {words[0]}")
+        raise UserError(
+            "--vhap-python", expected="the Python of VHAP's environment", found=f"no command {words[0]}"
+        )
     return Vhap(folder.resolve(), words)
 
 
@@ -83,7 +89,11 @@ def track(vhap: Vhap, film: Path, folder: Path, *, log: Path) -> None:
     Raises:
         UserError: VHAP ends with a fault or without parameters; the message names its log and its last line.
     """
-    options = {"--data.root_folder": film.parent.resolve(), "--data.sequence": film.name, "--exp.output_folder": folder.resolve()}
+    options = {
+        "--data.root_folder": film.parent.resolve(),
+        "--data.sequence": film.name,
+        "--exp.output_folder": folder.resolve(),
+    }
     _call(vhap, TRACK, options, log=log, says="tracking")
     if not any(folder.rglob(TRACKED)):
         raise UserError(log, expected=f"VHAP to leave {TRACKED}", found="none")
@@ -96,7 +106,11 @@ def export(vhap: Vhap, tracked: Path, folder: Path, *, log: Path) -> None:
         UserError: VHAP ends with a fault, or its export cannot be read.
     """
     newest = max(tracked.rglob(TRACKED), key=lambda path: (path.stat().st_mtime_ns, path.name))
-    options = {"--src_folder": newest.parent.resolve(), "--tgt_folder": folder.resolve(), "--background-color": "white"}
+    options = {
+        "--src_folder": newest.parent.resolve(),
+        "--tgt_folder": folder.resolve(),
+        "--background-color": "white",
+    }
     _call(vhap, EXPORT, options, log=log, says="exporting")
     open_listing(folder)
 
@@ -105,8 +119,13 @@ def _call(vhap: Vhap, script: str, options: dict[str, object], *, log: Path, say
     """Run a script of VHAP's to its end, its output in ``log``, its last line on show."""
     words = [*vhap.python, script, *(str(word) for pair in options.items() for word in pair)]
     print(f"VHAP is {says}; what it says is in {log}", file=sys.stderr)
-    with log.open("wb") as output, tqdm(desc=says, bar_format="{desc}: {elapsed}{postfix}", dynamic_ncols=True) as bar:
-        process = subprocess.Popen(words, cwd=vhap.folder, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT)
+    with (
+        log.open("wb") as output,
+        tqdm(desc=says, bar_format="{desc}: {elapsed}{postfix}", dynamic_ncols=True) as bar,
+    ):
+        process = subprocess.Popen(
+            words, cwd=vhap.folder, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT
+        )
         try:
             while process.poll() is None:
                 bar.set_postfix_str(_last_line(log)[:60])

@@ -9,10 +9,11 @@ from typing import NamedTuple
 import av
 import numpy as np
 
-from samira_warp.errors import UserError
+from samira_warp.support.errors import UserError
 
 WHOLE_SHARE = 0.9
-"""A video that ends before this share of the pictures that its header counts is cut off; edit lists hide a few of every whole one."""
+"""A video that ends before this share of the pictures that its header counts is cut off; edit lists hide a
+few of every whole one."""
 
 
 class VideoFacts(NamedTuple):
@@ -41,7 +42,11 @@ def read_facts(path: Path) -> VideoFacts:
     height, width = picture.pixels().shape[:2]
     with _open(path) as container:
         stream = container.streams.video[0]
-        seconds = float(stream.duration * stream.time_base) if stream.duration else (container.duration or 0) / av.time_base
+        seconds = (
+            float(stream.duration * stream.time_base)
+            if stream.duration
+            else (container.duration or 0) / av.time_base
+        )
         count = stream.frames or round(seconds * float(stream.average_rate or 0))
     return VideoFacts(width, height, count)
 
@@ -67,7 +72,8 @@ def read_pictures(path: Path) -> Iterator[Picture]:
     """Decode a video from its beginning to its end.
 
     Raises:
-        UserError: The file is missing or no video, or its pictures end in a fault or too early; the message says after how many.
+        UserError: The file is missing or no video, or its pictures end in a fault or too early; the message
+            says after how many.
     """
     with _open(path) as container:
         stream = container.streams.video[0]
@@ -75,12 +81,19 @@ def read_pictures(path: Path) -> Iterator[Picture]:
         done = 0
         try:
             for frame in container.decode(stream):
-                yield Picture(float(frame.time) if frame.time is not None else done / float(stream.average_rate or 25), frame)
+                yield Picture(
+                    float(frame.time) if frame.time is not None else done / float(stream.average_rate or 25),
+                    frame,
+                )
                 done += 1
         except av.error.FFmpegError as fault:
-            raise UserError(path, expected="pictures to its end", found=f"{fault.strerror} after {done} of them") from fault
+            raise UserError(
+                path, expected="pictures to its end", found=f"{fault.strerror} after {done} of them"
+            ) from fault
         if done < WHOLE_SHARE * stream.frames:
-            raise UserError(path, expected=f"{stream.frames} pictures, as its header says", found=f"its end after {done}")
+            raise UserError(
+                path, expected=f"{stream.frames} pictures, as its header says", found=f"its end after {done}"
+            )
 
 
 def _open(path: Path) -> av.container.InputContainer:

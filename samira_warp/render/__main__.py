@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import sys
 
-from samira_warp.cli import run
 from samira_warp.render.config import RenderConfig
 from samira_warp.render.render import render
+from samira_warp.support.cli import run
 
 
 def main(config: RenderConfig) -> None:

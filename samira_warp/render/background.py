@@ -9,11 +9,11 @@ import numpy as np
 import torch
 
 from samira_warp.avatar import Avatar
-from samira_warp.camera import Camera
-from samira_warp.errors import UserError
-from samira_warp.images import is_linear, read_on_white, resize_box
+from samira_warp.geometry.camera import Camera
+from samira_warp.io.images import is_linear, read_on_white, resize_box
 from samira_warp.light import Environment, encode_srgb
 from samira_warp.light.radiance_map import RadianceMap
+from samira_warp.support.errors import UserError
 
 GREYS = {"white": 1.0, "black": 0.0}
 
@@ -32,16 +32,19 @@ class Background:
         self._picture: torch.Tensor | None = None
         if name != "env" and name not in GREYS:
             if not Path(name).is_file():
-                raise UserError("--background", expected="white, black, env or an image file", found=repr(name))
+                raise UserError(
+                    "--background", expected="white, black, env or an image file", found=repr(name)
+                )
             self._image = read_on_white(Path(name))
             if is_linear(Path(name)):
                 self._image = encode_srgb(torch.from_numpy(self._image)).numpy()
 
     def view_of(self, environment: Environment) -> RadianceMap | None:
-        """What is seen of an environment, as a map of display values; None where something else is behind the head.
+        """What is seen of an environment, as a map of display values; None where something else is behind the
+        head.
 
-        The values are clipped and encoded before they are interpolated: in radiance, a texel of a lamp would cover all the pixels between
-        it and its neighbours, in steps.
+        The values are clipped and encoded before they are interpolated: in radiance, a texel of a lamp would
+        cover all the pixels between it and its neighbours, in steps.
         """
         if self._name != "env":
             return None
@@ -49,7 +52,8 @@ class Background:
         return replace(visible, texels=self._avatar.display(visible.texels).clamp(0.0, 1.0))
 
     def behind(self, camera: Camera, view: RadianceMap | None, *, rotate: float) -> torch.Tensor | float:
-        """A grey, or (H, W, 3): the picture filling the frame, cropped at its longer sides, or the environment as the camera sees it.
+        """A grey, or (H, W, 3): the picture filling the frame, cropped at its longer sides, or the
+        environment as the camera sees it.
 
         Args:
             camera: The view.
@@ -64,7 +68,11 @@ class Background:
 
     def _filled(self, width: int, height: int, device: torch.device) -> torch.Tensor:
         """The picture at a frame's size, kept for the next frame, which is seldom of another."""
-        if self._picture is None or self._picture.shape[:2] != (height, width) or self._picture.device != device:
+        if (
+            self._picture is None
+            or self._picture.shape[:2] != (height, width)
+            or self._picture.device != device
+        ):
             self._picture = torch.from_numpy(_fill(self._image, width=width, height=height)).to(device)
         return self._picture
 

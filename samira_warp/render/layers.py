@@ -42,9 +42,10 @@ class LayerImage(NamedTuple):
 def layer_image(rendering: Rendering, layer: Layer) -> LayerImage:
     """Turn one layer into a picture.
 
-    Albedo is sRGB-encoded on white; normals are (n + 1) / 2 in world space on mid-grey; responses 0.5 to 1.5 map to 0 to 1; depth runs from
-    white (nearest) to black; irradiance and specular light are sRGB-encoded and come with their linear values; residuals are UV maps in
-    metres and radians, their pictures mid-grey at zero and full scale at the residual's limit.
+    Albedo is sRGB-encoded on white; normals are (n + 1) / 2 in world space on mid-grey; responses 0.5 to 1.5
+    map to 0 to 1; depth runs from white (nearest) to black; irradiance and specular light are sRGB-encoded
+    and come with their linear values; residuals are UV maps in metres and radians, their pictures mid-grey at
+    zero and full scale at the residual's limit.
 
     Args:
         rendering: The frame.
@@ -84,5 +85,7 @@ def _on(background: float, picture: torch.Tensor, alpha: torch.Tensor) -> torch.
 def _depth_picture(depth: torch.Tensor, alpha: torch.Tensor) -> torch.Tensor:
     """White at the nearest surface, black at the farthest and where nothing is."""
     surface = alpha > 0.5
-    near, far = (depth[surface].aminmax()) if bool(surface.any()) else (depth.new_zeros(()), depth.new_ones(()))
+    near, far = (
+        (depth[surface].aminmax()) if bool(surface.any()) else (depth.new_zeros(()), depth.new_ones(()))
+    )
     return torch.where(surface, 1.0 - (depth - near) / (far - near).clamp(min=1e-6), 0.0)

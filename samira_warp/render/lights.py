@@ -5,10 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from samira_warp.avatar import Avatar
-from samira_warp.errors import UserError
 from samira_warp.light import Environment
 from samira_warp.light.environment import DIFFUSE_FILE, SPECULAR_FILE, learned_pair
 from samira_warp.render.config import RenderConfig
+from samira_warp.support.errors import UserError
 
 MAP_SUFFIXES = (".hdr", ".exr")
 """Files of a folder that are environment maps."""
@@ -17,8 +17,8 @@ LDR_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp")
 """Files that are maps as well where 8-bit pictures are taken."""
 
 SHEET_SIZE = 128
-"""Texels along a face for a contact sheet: ten times as fast as the 256 of a single map, from which pictures of 256 x 256 pixels differ by
-0.02 of 255 levels on average, and by 3 at most."""
+"""Texels along a face for a contact sheet: ten times as fast as the 256 of a single map, from which pictures
+of 256 x 256 pixels differ by 0.02 of 255 levels on average, and by 3 at most."""
 
 
 def one_light(config: RenderConfig, avatar: Avatar) -> Environment:
@@ -28,14 +28,19 @@ def one_light(config: RenderConfig, avatar: Avatar) -> Environment:
         UserError: The maps cannot be used.
     """
     if len(config.env) > 2:
-        raise UserError("--env", expected="one map, two (diffuse and specular) or a folder", found=f"{len(config.env)} files")
+        raise UserError(
+            "--env",
+            expected="one map, two (diffuse and specular) or a folder",
+            found=f"{len(config.env)} files",
+        )
     if not config.env:
         return avatar.light.environment().exposed(config.exposure, name="the learned light")
     return Environment.load(*config.env, exposure=config.exposure, ldr=config.ldr)
 
 
 def sheet_paths(config: RenderConfig) -> list[Path] | None:
-    """The maps of a contact sheet, sorted by name, where --env is a folder of maps; None where it is something else.
+    """The maps of a contact sheet, sorted by name, where --env is a folder of maps; None where it is
+    something else.
 
     A folder with a learned light, of an avatar or of the run that holds it, is that light.
 
@@ -46,7 +51,9 @@ def sheet_paths(config: RenderConfig) -> list[Path] | None:
         return None
     folder = config.env[0]
     suffixes = MAP_SUFFIXES + LDR_SUFFIXES if config.ldr else MAP_SUFFIXES
-    paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in suffixes and not path.name.startswith("."))
+    paths = sorted(
+        path for path in folder.iterdir() if path.suffix.lower() in suffixes and not path.name.startswith(".")
+    )
     if not paths:
         kinds = f"environment maps ({', '.join(suffixes)}) or a learned light ({DIFFUSE_FILE} and {SPECULAR_FILE})"
         raise UserError(folder, expected=kinds, found="none")
@@ -54,7 +61,9 @@ def sheet_paths(config: RenderConfig) -> list[Path] | None:
 
 
 def sheet_labels(paths: list[Path]) -> list[str]:
-    """What the pictures of a contact sheet are called: the maps' names, with the suffix where two would be called the same."""
+    """What the pictures of a contact sheet are called: the maps' names, with the suffix where two would be
+    called the same.
+    """
     stems = [path.stem for path in paths]
     return [path.name if stems.count(path.stem) > 1 else path.stem for path in paths]
 

@@ -14,11 +14,8 @@ from tqdm import tqdm
 
 from samira_warp.avatar import Avatar, DrivingFrame, GBuffer, MaterialEdit, Motion, Rendering
 from samira_warp.avatar.storage import find_avatar
-from samira_warp.camera import Camera
-from samira_warp.contact_sheet import contact_sheet
-from samira_warp.devices import pick_device
-from samira_warp.errors import UserError
-from samira_warp.images import to_uint8, write_exr, write_png
+from samira_warp.geometry.camera import Camera
+from samira_warp.io.images import to_uint8, write_exr, write_png
 from samira_warp.light import Environment, FilteredLight
 from samira_warp.light.environment import check_exposure
 from samira_warp.light.radiance_map import RadianceMap
@@ -29,6 +26,9 @@ from samira_warp.render.lights import one_light, sheet_labels, sheet_light, shee
 from samira_warp.render.sources import select_frames
 from samira_warp.render.turntable import plan_shots
 from samira_warp.render.video import VideoWriter
+from samira_warp.stage.contact_sheet import contact_sheet
+from samira_warp.support.devices import pick_device
+from samira_warp.support.errors import UserError
 
 SHEET_NAME = "contact_sheet"
 
@@ -97,16 +97,26 @@ class Stage(NamedTuple):
 
     def relight(self, view: View, light: Light, *, rotate: float) -> Rendering:
         """Shade a view under a light that is turned by so many degrees, and put the background behind it."""
-        return self.shade(view, light.filtered, self.background.behind(view.camera, light.seen, rotate=rotate), rotate=rotate)
+        return self.shade(
+            view,
+            light.filtered,
+            self.background.behind(view.camera, light.seen, rotate=rotate),
+            rotate=rotate,
+        )
 
-    def shade(self, view: View, light: FilteredLight, behind: torch.Tensor | float, *, rotate: float) -> Rendering:
+    def shade(
+        self, view: View, light: FilteredLight, behind: torch.Tensor | float, *, rotate: float
+    ) -> Rendering:
         """Shade a view and put display values behind it."""
-        return self.avatar.shade(view.motion, view.gbuffer, view.camera, light, rotate=rotate, background=behind)
+        return self.avatar.shade(
+            view.motion, view.gbuffer, view.camera, light, rotate=rotate, background=behind
+        )
 
 
 @torch.no_grad()
 def render(config: RenderConfig) -> int:
-    """Render every chosen frame of a sequence and write its layers; under a folder of maps, the first frame as a contact sheet.
+    """Render every chosen frame of a sequence and write its layers; under a folder of maps, the first frame
+    as a contact sheet.
 
     Everything is checked before the first file is written.
 
@@ -120,7 +130,11 @@ def render(config: RenderConfig) -> int:
     edits, maps = material_edits(config), sheet_paths(config)
     if maps is not None and (config.turntable is not None or config.video):
         option = "--video" if config.turntable is None else "--turntable"
-        raise UserError(option, expected="one light", found=f"--env {config.env[0]}, a folder of maps, which makes a contact sheet")
+        raise UserError(
+            option,
+            expected="one light",
+            found=f"--env {config.env[0]}, a folder of maps, which makes a contact sheet",
+        )
     device = pick_device(config.device)
     folder = find_avatar(config.avatar)
     avatar = Avatar.load(folder, device=device)
@@ -136,7 +150,10 @@ def _check_numbers(config: RenderConfig) -> None:
     ranges = {
         "expression-gain": (math.isfinite(config.expression_gain), "a number"),
         "rotate": (math.isfinite(config.rotate), "degrees"),
-        "turntable": (config.turntable is None or 0.0 < config.turntable < math.inf, "a positive number of seconds"),
+        "turntable": (
+            config.turntable is None or 0.0 < config.turntable < math.inf,
+            "a positive number of seconds",
+        ),
         "resolution": (config.resolution is None or config.resolution > 0, "a positive number of pixels"),
         "fps": (0.0 < config.fps < math.inf, "a positive number of frames"),
     }
@@ -184,7 +201,9 @@ def _render_sheet(config: RenderConfig, stage: Stage, frame: DrivingFrame, maps:
 
 
 def _sheet_light(config: RenderConfig, stage: Stage, camera: Camera, path: Path) -> SheetLight:
-    """Read a light of a contact sheet. All are read before the work on any begins, and none keeps its map, which may be large."""
+    """Read a light of a contact sheet. All are read before the work on any begins, and none keeps its map,
+    which may be large.
+    """
     environment = sheet_light(config, path).to(camera.world_to_camera.device)
     behind = stage.background.behind(camera, stage.background.view_of(environment), rotate=config.rotate)
     return SheetLight(replace(environment, backdrop=None), behind)

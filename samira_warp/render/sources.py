@@ -12,12 +12,12 @@ import torch
 from samira_warp.avatar import Avatar, CanonicalHead, DrivingFrame, read_frames
 from samira_warp.avatar.driving import Driver, ExpressionMap, PoseRange, match_expressions
 from samira_warp.avatar.storage import DESCRIPTION_FILE, TEMPLATE_FILE
-from samira_warp.camera import Camera
 from samira_warp.data import Sequence, open_sequence
-from samira_warp.errors import UserError
-from samira_warp.files import read_json
+from samira_warp.geometry.camera import Camera
 from samira_warp.head import FrameParameters
+from samira_warp.io.files import read_json
 from samira_warp.render.config import RenderConfig, parse_frames
+from samira_warp.support.errors import UserError
 
 
 def select_frames(config: RenderConfig, avatar: Avatar, folder: Path) -> list[DrivingFrame]:
@@ -30,7 +30,11 @@ def select_frames(config: RenderConfig, avatar: Avatar, folder: Path) -> list[Dr
     frames = list(_own(config, own) if config.data is None else _driven(config, avatar, folder, own))
     chosen = frames[wanted]
     if not chosen:
-        raise UserError("--frames", expected=f"some of the {len(frames)} frames", found=f"none in {config.frames or 'the split'}")
+        raise UserError(
+            "--frames",
+            expected=f"some of the {len(frames)} frames",
+            found=f"none in {config.frames or 'the split'}",
+        )
     longer = config.resolution or max(own[0].camera.width, own[0].camera.height)
     return [frame._replace(camera=_at_size(frame.camera, longer)) for frame in chosen]
 
@@ -39,14 +43,24 @@ def _own(config: RenderConfig, frames: list[DrivingFrame]) -> Iterator[DrivingFr
     """The frames that are stored with the avatar."""
     part = config.split or "test"
     if part not in ("train", "test"):
-        raise UserError("--split", expected="train or test of the avatar's own frames, or --data DIR", found=repr(part))
+        raise UserError(
+            "--split", expected="train or test of the avatar's own frames, or --data DIR", found=repr(part)
+        )
     if config.neutral_frame is not None:
-        raise UserError("--neutral-frame", expected="--data DIR, the sequence that it is a frame of", found="none")
-    driver = Driver(ExpressionMap.identity(frames[0].parameters.expression.numel()), gain=config.expression_gain)
-    return (frame._replace(parameters=driver.drive(frame.parameters)) for frame in frames if frame.part == part)
+        raise UserError(
+            "--neutral-frame", expected="--data DIR, the sequence that it is a frame of", found="none"
+        )
+    driver = Driver(
+        ExpressionMap.identity(frames[0].parameters.expression.numel()), gain=config.expression_gain
+    )
+    return (
+        frame._replace(parameters=driver.drive(frame.parameters)) for frame in frames if frame.part == part
+    )
 
 
-def _driven(config: RenderConfig, avatar: Avatar, folder: Path, own: list[DrivingFrame]) -> Iterator[DrivingFrame]:
+def _driven(
+    config: RenderConfig, avatar: Avatar, folder: Path, own: list[DrivingFrame]
+) -> Iterator[DrivingFrame]:
     """Frames of another sequence: its pose and expression, the avatar's own shape and static offset.
 
     The avatar's own person is not held to what was seen in training: test frames of its dataset go beyond.
@@ -55,7 +69,9 @@ def _driven(config: RenderConfig, avatar: Avatar, folder: Path, own: list[Drivin
     trained_on = record.get("subject") == config.data.resolve().name
     split = config.split or (record.get("split", "dataset") if trained_on else "dataset")
     sequence = open_sequence(config.data, split=split, flame=folder / TEMPLATE_FILE)
-    expressions = match_expressions(sequence.template, avatar.canonical.template, source=sequence.template_path)
+    expressions = match_expressions(
+        sequence.template, avatar.canonical.template, source=sequence.template_path
+    )
     if expressions.left_out:
         print(f"note: the avatar has no expressions {', '.join(expressions.left_out)}", file=sys.stderr)
     same_person = _is_person(sequence, avatar.canonical)
@@ -70,7 +86,9 @@ def _driven(config: RenderConfig, avatar: Avatar, folder: Path, own: list[Drivin
 
 def _is_person(sequence: Sequence, canonical: CanonicalHead) -> bool:
     """Whether a sequence is of the avatar's own person, tracked as the avatar was."""
-    if sequence.template.hash != canonical.template.hash or not torch.equal(sequence.shape, canonical.shape.cpu()):
+    if sequence.template.hash != canonical.template.hash or not torch.equal(
+        sequence.shape, canonical.shape.cpu()
+    ):
         return False
     offsets = (sequence.canonical_static_offset, canonical.static_offset)
     if any(offset is None for offset in offsets):
@@ -90,4 +108,6 @@ def _neutral(config: RenderConfig, sequence: Sequence) -> FrameParameters | None
 
 def _at_size(camera: Camera, longer: int) -> Camera:
     scale = longer / max(camera.width, camera.height)
-    return camera.resized(width=max(round(camera.width * scale), 1), height=max(round(camera.height * scale), 1))
+    return camera.resized(
+        width=max(round(camera.width * scale), 1), height=max(round(camera.height * scale), 1)
+    )

@@ -19,11 +19,14 @@ class Shot(NamedTuple):
     pictures: tuple[tuple[str, float], ...]
 
 
-def plan_shots(frames: list[DrivingFrame], *, rotate: float, turntable: float | None, frames_per_second: float) -> list[Shot]:
+def plan_shots(
+    frames: list[DrivingFrame], *, rotate: float, turntable: float | None, frames_per_second: float
+) -> list[Shot]:
     """The pictures of a rendered sequence, in order.
 
-    Without a turntable, each frame is one picture. With it, a single frame is held for one whole turn, whose end meets its beginning, and
-    is named NAME_0000, NAME_0001, ...; a longer sequence goes on as it is while the light turns.
+    Without a turntable, each frame is one picture. With it, a single frame is held for one whole turn, whose
+    end meets its beginning, and is named NAME_0000, NAME_0001, ...; a longer sequence goes on as it is while
+    the light turns.
 
     Args:
         frames: What to render.
@@ -35,6 +38,15 @@ def plan_shots(frames: list[DrivingFrame], *, rotate: float, turntable: float | 
         return [Shot(frame, ((frame.name, rotate),)) for frame in frames]
     pictures_per_turn = turntable * frames_per_second
     if len(frames) > 1:
-        return [Shot(frame, ((frame.name, rotate + 360.0 * index / pictures_per_turn),)) for index, frame in enumerate(frames)]
+        return [
+            Shot(frame, ((frame.name, rotate + 360.0 * index / pictures_per_turn),))
+            for index, frame in enumerate(frames)
+        ]
     count = max(round(pictures_per_turn), 1)
-    return [Shot(frame, tuple((f"{frame.name}_{index:04d}", rotate + 360.0 * index / count) for index in range(count))) for frame in frames]
+    return [
+        Shot(
+            frame,
+            tuple((f"{frame.name}_{index:04d}", rotate + 360.0 * index / count) for index in range(count)),
+        )
+        for frame in frames
+    ]

@@ -8,7 +8,7 @@ from types import TracebackType
 import imageio_ffmpeg
 import numpy as np
 
-from samira_warp.errors import UserError
+from samira_warp.support.errors import UserError
 
 
 class VideoWriter:
@@ -22,18 +22,31 @@ class VideoWriter:
     def __enter__(self) -> VideoWriter:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
         if self._writer is not None:
             self._writer.close()
 
     def add(self, picture: np.ndarray) -> None:
-        """Append one (H, W, 3) uint8 frame; odd sizes lose their last row or column, which the codec cannot hold."""
+        """Append one (H, W, 3) uint8 frame; odd sizes lose their last row or column, which the codec cannot
+        hold.
+        """
         height, width = (size - size % 2 for size in picture.shape[:2])
         if self._writer is None:
             if min(height, width) == 0:
-                raise UserError(self.path, expected="frames of at least 2 x 2 pixels", found=f"{picture.shape[1]} x {picture.shape[0]}")
+                raise UserError(
+                    self.path,
+                    expected="frames of at least 2 x 2 pixels",
+                    found=f"{picture.shape[1]} x {picture.shape[0]}",
+                )
             self._writer = imageio_ffmpeg.write_frames(
-                str(self.path), (width, height), fps=self.frames_per_second, quality=8, macro_block_size=1, ffmpeg_log_level="error"
+                str(self.path),
+                (width, height),
+                fps=self.frames_per_second,
+                quality=8,
+                macro_block_size=1,
+                ffmpeg_log_level="error",
             )
             self._writer.send(None)
         self._writer.send(np.ascontiguousarray(picture[:height, :width]))

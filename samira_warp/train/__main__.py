@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from samira_warp.cli import run
+from samira_warp.support.cli import run
 from samira_warp.train.config import TrainConfig
 from samira_warp.train.run import train
 

@@ -12,8 +12,8 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file
 
 from samira_warp.avatar import Avatar
-from samira_warp.errors import UserError
-from samira_warp.files import read_json, replace_folder, save_tensors
+from samira_warp.io.files import read_json, replace_folder, save_tensors
+from samira_warp.support.errors import UserError
 from samira_warp.train.density import DensityStatistics
 from samira_warp.train.tracking import TrackedParameters
 
@@ -72,7 +72,9 @@ def last_checkpoint(folder: Path) -> Path:
     return found[-1]
 
 
-def load_training(path: Path, optimizer: torch.optim.Adam, tracked: TrackedParameters, density: DensityStatistics) -> int:
+def load_training(
+    path: Path, optimizer: torch.optim.Adam, tracked: TrackedParameters, density: DensityStatistics
+) -> int:
     """Put a checkpoint's training state into objects that were made for its avatar.
 
     Returns:
@@ -86,18 +88,30 @@ def load_training(path: Path, optimizer: torch.optim.Adam, tracked: TrackedParam
     except (OSError, SafetensorError) as error:
         raise UserError(path / TRAINING_FILE, expected="the training state", found=error) from error
     try:
-        tracked.load_state_dict({name.removeprefix("tracked."): value for name, value in tensors.items() if name.startswith("tracked.")})
+        tracked.load_state_dict(
+            {
+                name.removeprefix("tracked."): value
+                for name, value in tensors.items()
+                if name.startswith("tracked.")
+            }
+        )
         density.gradient.copy_(tensors["density.gradient"])
         density.views.copy_(tensors["density.views"])
     except (KeyError, RuntimeError) as error:
         misfit = str(error).splitlines()[-1].strip()
-        raise UserError(path / TRAINING_FILE, expected="the training state of the avatar beside it", found=misfit) from error
+        raise UserError(
+            path / TRAINING_FILE, expected="the training state of the avatar beside it", found=misfit
+        ) from error
     for group in optimizer.param_groups:
         for index, parameter in enumerate(group["params"]):
             prefix = f"adam.{group['name']}.{index}."
-            moments = {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}
+            moments = {
+                name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)
+            }
             if moments:
-                optimizer.state[parameter] = {name: value.to(parameter.device) for name, value in moments.items()}
+                optimizer.state[parameter] = {
+                    name: value.to(parameter.device) for name, value in moments.items()
+                }
     return int(read_json(path / STEP_FILE)["step"])
 
 

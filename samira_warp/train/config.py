@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from samira_warp.devices import DeviceName
+from samira_warp.support.devices import DeviceName
 
 Ablation = Literal[
     "no-residual",
@@ -44,8 +44,12 @@ class Preset:
 
 
 PRESETS = {
-    "cpu": Preset(resolution=256, uv_size=128, gaussians=20_000, gaussian_cap=40_000, width=24, region_width=8),
-    "paper": Preset(resolution=512, uv_size=256, gaussians=65_536, gaussian_cap=200_000, width=64, region_width=32),
+    "cpu": Preset(
+        resolution=256, uv_size=128, gaussians=20_000, gaussian_cap=40_000, width=24, region_width=8
+    ),
+    "paper": Preset(
+        resolution=512, uv_size=256, gaussians=65_536, gaussian_cap=200_000, width=64, region_width=32
+    ),
 }
 
 
@@ -54,9 +58,11 @@ class TrainConfig:
     """Train a relightable, animatable avatar from a tracked video of a head."""
 
     data: Path | None = None
-    """Dataset folder: a VHAP export or any other format that samira_warp.check knows; default the built-in subject."""
+    """Dataset folder: a VHAP export or any other format that samira_warp.check knows; default the built-in
+    subject."""
     flame: Path | None = None
-    """FLAME's file (.pkl or .npz, with its UV coordinates and masks beside it), or a template.npz, for a dataset without one."""
+    """FLAME's file (.pkl or .npz, with its UV coordinates and masks beside it), or a template.npz, for a
+    dataset without one."""
     out: Path | None = None
     """Run folder; default runs/ and the name of the dataset's folder, or runs/built_in."""
     preset: Literal["cpu", "paper"] | None = None
@@ -78,7 +84,8 @@ class TrainConfig:
     ablate: tuple[Ablation, ...] = ()
     """Parts of the method to leave out."""
     lpips_weights: Path | None = None
-    """Folder with LPIPS backbone and linear-head files; default the hub cache or an installed lpips package."""
+    """Folder with LPIPS backbone and linear-head files; default the hub cache or an installed lpips
+    package."""
     color_space: Literal["srgb", "raw"] = "srgb"
     """Shade in linear light and encode to sRGB, or shade directly in image values."""
     tie_light: bool = False
@@ -140,10 +147,12 @@ RATES = {
     "pose": Rate((1e-5, 1e-5), (3e-5, 3e-5)),
     "translation": Rate((1e-6, 1e-6), (5e-6, 5e-6)),
 }
-"""By parameter group: GaussianAvatars' for geometry and tracking, HRAvatar's for materials, the paper's for network and light.
+"""By parameter group: GaussianAvatars' for geometry and tracking, HRAvatar's for materials, the paper's for
+network and light.
 
-In short runs, rigid tracking moves faster, so that its noise is out of the way before the network learns, and expressions move slower, so
-that what repeats with an expression is left to the network instead of being tuned away frame by frame (docs/measurements.md).
+In short runs, rigid tracking moves faster, so that its noise is out of the way before the network learns, and
+expressions move slower, so that what repeats with an expression is left to the network instead of being tuned
+away frame by frame (docs/measurements.md).
 """
 
 
@@ -151,7 +160,9 @@ def learning_rate(group: str, *, step: int, steps: int) -> float:
     """The rate of a parameter group at one step: warm-up, then a cosine from the rate's start to its end."""
     rate = RATES[group]
     share = min(max(math.log(steps / SHORT_RUN) / math.log(LONG_RUN / SHORT_RUN), 0.0), 1.0)
-    first, last = (short ** (1.0 - share) * long**share for short, long in zip(rate.short, rate.long, strict=True))
+    first, last = (
+        short ** (1.0 - share) * long**share for short, long in zip(rate.short, rate.long, strict=True)
+    )
     warm_up = max(WARM_UP * steps, 1.0)
     cosine = 0.5 * (1.0 + math.cos(math.pi * min(step / steps, 1.0)))
     return min((step + 1) / warm_up, 1.0) * (last + (first - last) * cosine)
@@ -172,10 +183,12 @@ class LossWeights:
     albedo: float = 0.1
     """lambda_5 of Eq. albedo_loss."""
     mask: float = 0.1
-    """L1 of alpha against the matte: on white, low opacity buys highlights, and relit faces would leak white."""
+    """L1 of alpha against the matte: on white, low opacity buys highlights, and relit faces would leak
+    white."""
     residual: float = 0.1
-    """Mean square of the UV residual as a share of its limits: without it the network drifts by millimetres that the Gaussians' means take
-    back, and memorises the tracker's noise frame by frame (docs/measurements.md)."""
+    """Mean square of the UV residual as a share of its limits: without it the network drifts by millimetres
+    that the Gaussians' means take back, and memorises the tracker's noise frame by frame
+    (docs/measurements.md)."""
     response: float = 1e-3
     """Prior on the squared response logits: (albedo / c, c tau) looks the same until the light changes."""
 
@@ -224,4 +237,8 @@ class Schedule:
 
     def opacity_reset(self, step: int) -> bool:
         """Whether opacities are reset after this step."""
-        return self.steps > self.opacity_reset_from and self.density_window(step) and (step + 1) % self.opacity_reset_every == 0
+        return (
+            self.steps > self.opacity_reset_from
+            and self.density_window(step)
+            and (step + 1) % self.opacity_reset_every == 0
+        )

@@ -11,7 +11,8 @@ import torch
 from samira_warp.avatar import Gaussians
 
 GRADIENT_THRESHOLD = 2e-4
-"""Mean gradient of the projected mean in normalised device units, pixels x (W/2, H/2), above which a Gaussian is added to (3DGS)."""
+"""Mean gradient of the projected mean in normalised device units, pixels x (W/2, H/2), above which a Gaussian
+is added to (3DGS)."""
 
 SPLIT_SPACING = 2.0
 """Gaussians larger than this many median spacings are split, smaller ones are cloned."""
@@ -74,12 +75,15 @@ def control_density(
     cap: int,
     generator: torch.Generator,
 ) -> DensityChange:
-    """Clone or split where the screen-space gradient is large, and remove what is faint; every face keeps at least one.
+    """Clone or split where the screen-space gradient is large, and remove what is faint; every face keeps at
+    least one.
 
-    Children stay on their parent's face. A split draws two children from the parent's own distribution in the triangle's frame.
+    Children stay on their parent's face. A split draws two children from the parent's own distribution in the
+    triangle's frame.
 
     Args:
-        gaussians: The Gaussians before the event; UV coordinates of the result are the parents' and want refreshing.
+        gaussians: The Gaussians before the event; UV coordinates of the result are the parents' and want
+            refreshing.
         statistics: Gathered since the last event.
         face_scales: (F,) k of every face on the reference mesh, metres.
         face_areas: (F,) area of every face on the reference mesh, square metres.
@@ -94,7 +98,10 @@ def control_density(
     split = wanted & (scale > SPLIT_SPACING * _spacing(gaussians.faces.long(), face_areas).median())
     clone = wanted & ~split
     kept = (~faint & ~split).nonzero()[:, 0]
-    parts = [{name: value[kept] for name, value in old.items()}, {name: value[clone] for name, value in old.items()}]
+    parts = [
+        {name: value[kept] for name, value in old.items()},
+        {name: value[clone] for name, value in old.items()},
+    ]
     parts += [_split_half({name: value[split] for name, value in old.items()}, generator) for _ in range(2)]
     return DensityChange(Gaussians({name: torch.cat([part[name] for part in parts]) for name in old}), kept)
 
@@ -134,7 +141,9 @@ def _largest(candidates: torch.Tensor, gradient: torch.Tensor, *, room: int) -> 
 def _split_half(parents: dict[str, torch.Tensor], generator: torch.Generator) -> dict[str, torch.Tensor]:
     """One child of each parent, drawn from it and smaller."""
     noise = torch.randn(parents["means"].shape, generator=generator).to(parents["means"].device)
-    rotation = kornia.geometry.quaternion_to_rotation_matrix(torch.nn.functional.normalize(parents["quaternions"], dim=1))
+    rotation = kornia.geometry.quaternion_to_rotation_matrix(
+        torch.nn.functional.normalize(parents["quaternions"], dim=1)
+    )
     offset = torch.einsum("nij,nj->ni", rotation, parents["log_scales"].exp() * noise)
     shrunk = parents["log_scales"] - math.log(SPLIT_SHRINK)
     return {**parents, "means": parents["means"] + offset, "log_scales": shrunk}

@@ -7,9 +7,9 @@ import torch
 from samira_warp.avatar import CanonicalHead, Gaussians, conditions_of, geometry_uv
 from samira_warp.avatar.canonical import neck_rotation
 from samira_warp.data import PixelCache, Sequence
-from samira_warp.head.geometry import face_areas, vertex_normals
-from samira_warp.kernels.gather import bilinear_table, gather
-from samira_warp.kernels.triangle_frames import triangle_frames
+from samira_warp.geometry.mesh import face_areas, vertex_normals
+from samira_warp.kernels.gathering.gather import bilinear_table, gather
+from samira_warp.kernels.mesh.triangle_frames import triangle_frames
 from samira_warp.nets import ConditionStatistics
 from samira_warp.train.unwrap import View, unwrap
 
@@ -28,7 +28,8 @@ FLATNESS = 0.2
 """Initial standard deviation along the normal, as a share of that along the surface."""
 
 FRONTAL_DEGREES = 10.0
-"""In the choice of the reference frame, this many degrees off the frontal pose weigh as much as one standard deviation of expression."""
+"""In the choice of the reference frame, this many degrees off the frontal pose weigh as much as one standard
+deviation of expression."""
 
 ALBEDO_VIEWS = 12
 """Frames that the initial albedo is unwrapped from, evenly spaced over the training frames."""
@@ -36,7 +37,9 @@ ALBEDO_VIEWS = 12
 
 def condition_statistics(sequence: Sequence) -> ConditionStatistics:
     """Statistics of the training frames' conditions; test frames are not looked at."""
-    return ConditionStatistics.of([conditions_of(sequence.frames[index].parameters) for index in sequence.train])
+    return ConditionStatistics.of(
+        [conditions_of(sequence.frames[index].parameters) for index in sequence.train]
+    )
 
 
 @torch.no_grad()
@@ -46,7 +49,9 @@ def choose_reference(sequence: Sequence, canonical: CanonicalHead, statistics: C
     def score(index: int) -> float:
         frame = sequence.frames[index]
         expression = statistics(conditions_of(frame.parameters)).expression
-        forward = neck_rotation(canonical.pose(frame.parameters)) @ canonical.vertices.new_tensor([0.0, 0.0, 1.0])
+        forward = neck_rotation(canonical.pose(frame.parameters)) @ canonical.vertices.new_tensor(
+            [0.0, 0.0, 1.0]
+        )
         backwards = -frame.camera.world_to_camera[2, :3]
         angle = torch.rad2deg(torch.acos((forward @ backwards).clamp(-1.0, 1.0)))
         return float(expression.square().mean().sqrt() + angle / FRONTAL_DEGREES)
@@ -64,8 +69,12 @@ def view_of(sequence: Sequence, pixels: PixelCache, index: int, *, albedo: bool 
     return View(image, content.mask, frame.parameters, frame.camera.resized(width=width, height=height))
 
 
-def initial_albedo(sequence: Sequence, pixels: PixelCache, canonical: CanonicalHead, reference: torch.Tensor) -> torch.Tensor:
-    """(h, w, 3) display-valued albedo texture: unwrapped pseudo-albedo where the dataset has any, else the reference image."""
+def initial_albedo(
+    sequence: Sequence, pixels: PixelCache, canonical: CanonicalHead, reference: torch.Tensor
+) -> torch.Tensor:
+    """(h, w, 3) display-valued albedo texture: unwrapped pseudo-albedo where the dataset has any, else the
+    reference image.
+    """
     with_albedo = [index for index in sequence.train if sequence.frames[index].albedo_path]
     count = min(ALBEDO_VIEWS, len(with_albedo))
     chosen = [with_albedo[place * len(with_albedo) // count] for place in range(count)]
@@ -76,7 +85,13 @@ def initial_albedo(sequence: Sequence, pixels: PixelCache, canonical: CanonicalH
 
 @torch.no_grad()
 def initial_gaussians(
-    canonical: CanonicalHead, *, count: int, opacity: float, albedo: torch.Tensor, smooth_normals: bool, generator: torch.Generator
+    canonical: CanonicalHead,
+    *,
+    count: int,
+    opacity: float,
+    albedo: torch.Tensor,
+    smooth_normals: bool,
+    generator: torch.Generator,
 ) -> Gaussians:
     """Sample Gaussians over the reference mesh by area, denser at eyes and lips.
 
@@ -108,7 +123,9 @@ def initial_gaussians(
     uv = geometry_uv(means, ids, vertices=vertices, topology=canonical.topology, atlas=canonical.atlas)
     size = canonical.atlas.size
     colors = gather(albedo.flatten(0, 1).contiguous(), bilinear_table(uv, width=size, height=size))
-    return Gaussians.start(means=means, scales=scales, normals=normals, albedo=colors, faces=ids, uv=uv, opacity=opacity)
+    return Gaussians.start(
+        means=means, scales=scales, normals=normals, albedo=colors, faces=ids, uv=uv, opacity=opacity
+    )
 
 
 def _density_factors(canonical: CanonicalHead) -> torch.Tensor:

@@ -1,4 +1,6 @@
-"""What a run leaves behind while it trains: metrics.jsonl, TensorBoard events, preview grids, the progress bar."""
+"""What a run leaves behind while it trains: metrics.jsonl, TensorBoard events, preview grids, the progress
+bar.
+"""
 
 from __future__ import annotations
 
@@ -12,8 +14,8 @@ from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
 from samira_warp.avatar import Rendering
-from samira_warp.files import replace_file
-from samira_warp.images import write_png
+from samira_warp.io.files import replace_file
+from samira_warp.io.images import write_png
 from samira_warp.light import Environment, encode_srgb
 from samira_warp.light.equirect import cube_to_equirect
 
@@ -38,12 +40,15 @@ class RunLog:
     def __enter__(self) -> RunLog:
         return self
 
-    def __exit__(self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None) -> None:
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
         self._bar.close()
         self._board.close()
 
     def add(self, step: int, terms: dict[str, torch.Tensor], *, gaussians: int) -> None:
-        """Add one step's detached scalars; every LOG_EVERY steps, and at the last one, their means are written.
+        """Add one step's detached scalars; every LOG_EVERY steps, and at the last one, their means are
+        written.
 
         Args:
             step: Number of steps done.
@@ -65,7 +70,11 @@ class RunLog:
 
     def _write(self, step: int, gaussians: int) -> None:
         names = list(self._sums)
-        means = dict(zip(names, (torch.stack([self._sums[name] for name in names]) / self._count).tolist(), strict=True))
+        means = dict(
+            zip(
+                names, (torch.stack([self._sums[name] for name in names]) / self._count).tolist(), strict=True
+            )
+        )
         psnr = -10.0 * float(np.log10(max(means.pop("mse"), 1e-12)))
         line = {"step": step, "loss": sum(means.values()), "psnr": psnr, "gaussians": gaussians, **means}
         with self._metrics.open("a", encoding="utf-8") as file:
@@ -73,24 +82,30 @@ class RunLog:
         for name, value in line.items():
             if name != "step":
                 self._board.add_scalar(f"train/{name}", value, step)
-        self._bar.set_postfix_str(f"loss {line['loss']:.4f}, PSNR {psnr:.2f} dB, {gaussians} Gaussians", refresh=False)
+        self._bar.set_postfix_str(
+            f"loss {line['loss']:.4f}, PSNR {psnr:.2f} dB, {gaussians} Gaussians", refresh=False
+        )
         self._sums, self._count = {}, 0
 
 
 def preview_grid(rendering: Rendering, truth: torch.Tensor, light: Environment) -> np.ndarray:
-    """(H, 5 W + 2 (H // 2), 3) display values: image | truth | albedo | normal | specular light, each on white, and `light_panel`."""
+    """(H, 5 W + 2 (H // 2), 3) display values: image | truth | albedo | normal | specular light, each on
+    white, and `light_panel`.
+    """
     gbuffer = rendering.gbuffer
     alpha = gbuffer.alpha
     panels = [rendering.image, truth]
     panels += [
-        alpha * panel + (1.0 - alpha) for panel in (rendering.albedo, 0.5 * (gbuffer.normal + 1.0), encode_srgb(rendering.specular_light))
+        alpha * panel + (1.0 - alpha)
+        for panel in (rendering.albedo, 0.5 * (gbuffer.normal + 1.0), encode_srgb(rendering.specular_light))
     ]
     panels.append(light_panel(light, height=len(truth)))
     return torch.cat(panels, dim=1).clamp(0.0, 1.0).detach().cpu().numpy()
 
 
 def light_panel(light: Environment, *, height: int) -> torch.Tensor:
-    """(height, 2 (height // 2), 3) display values: the diffuse map above the specular one, as panoramas, white where a row is left.
+    """(height, 2 (height // 2), 3) display values: the diffuse map above the specular one, as panoramas,
+    white where a row is left.
 
     Radiance x is shown as x / (1 + x), which leaves no lamp without its colour.
     """
@@ -104,5 +119,9 @@ def _drop_lines_after(path: Path, step: int) -> None:
     """Forget what was logged after the checkpoint that a run goes on from."""
     if not path.exists():
         return
-    lines = [line for line in path.read_text(encoding="utf-8").splitlines() if line.endswith("}") and json.loads(line)["step"] <= step]
+    lines = [
+        line
+        for line in path.read_text(encoding="utf-8").splitlines()
+        if line.endswith("}") and json.loads(line)["step"] <= step
+    ]
     replace_file(path, "".join(line + "\n" for line in lines))

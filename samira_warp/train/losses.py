@@ -73,14 +73,20 @@ def total_loss(
     if target.albedo is not None:
         terms["albedo"] = weights.albedo * albedo_loss(rendering.gbuffer.albedo, target)
     if stage_two:
-        terms["normal_smoothness"] = weights.normal_smoothness * normal_smoothness(rendering.gbuffer.normal, rendering.gbuffer.alpha)
-        terms["normal_prior"] = weights.normal_prior * normal_prior(avatar.gaussians.normals, avatar.gaussians.initial_normals)
+        terms["normal_smoothness"] = weights.normal_smoothness * normal_smoothness(
+            rendering.gbuffer.normal, rendering.gbuffer.alpha
+        )
+        terms["normal_prior"] = weights.normal_prior * normal_prior(
+            avatar.gaussians.normals, avatar.gaussians.initial_normals
+        )
         terms["response"] = weights.response * avatar.response_logits.square().mean()
     return terms
 
 
 def residual_prior(motion: Motion, valid: torch.Tensor) -> torch.Tensor:
-    """Mean square over the (H, W) valid texels of the residual's position and rotation, each as a share of its limit (s_mu and pi)."""
+    """Mean square over the (H, W) valid texels of the residual's position and rotation, each as a share of
+    its limit (s_mu and pi).
+    """
     position, rotation = motion.residual_position / POSITION_LIMIT, motion.residual_rotation / torch.pi
     squares = (position.square() + rotation.square()).mean(dim=-1)
     return (squares * valid).sum() / valid.sum()
@@ -102,7 +108,9 @@ def normal_smoothness(normal: torch.Tensor, alpha: torch.Tensor) -> torch.Tensor
 
 
 def normal_prior(normals: torch.Tensor, initial: torch.Tensor) -> torch.Tensor:
-    """L_n^prior: mean of 1 - n^c . n^m over (N, 3) canonical normals, normalised here, and their unit initialisation."""
+    """L_n^prior: mean of 1 - n^c . n^m over (N, 3) canonical normals, normalised here, and their unit
+    initialisation.
+    """
     return (1.0 - (torch.nn.functional.normalize(normals, dim=-1) * initial).sum(-1)).mean()
 
 
@@ -113,5 +121,7 @@ def albedo_loss(albedo: torch.Tensor, target: Target) -> torch.Tensor:
 
 
 def linear_albedo(albedo: torch.Tensor, *, color_space: str) -> torch.Tensor:
-    """Pseudo-albedo as it is compared: decoded from sRGB, or as stored where shading works in image values."""
+    """Pseudo-albedo as it is compared: decoded from sRGB, or as stored where shading works in image
+    values.
+    """
     return decode_srgb(albedo) if color_space == "srgb" else albedo

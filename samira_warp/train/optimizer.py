@@ -11,12 +11,15 @@ from samira_warp.train.config import learning_rate
 from samira_warp.train.tracking import TrackedParameters
 
 ADAM_EPSILON = 1e-15
-"""Far below any gradient here, as 3DGS has it: the default 1e-8 would damp the small gradients of single Gaussians."""
+"""Far below any gradient here, as 3DGS has it: the default 1e-8 would damp the small gradients of single
+Gaussians."""
 
 
 def make_optimizer(avatar: Avatar, tracked: TrackedParameters) -> torch.optim.Adam:
     """One group a rate, named as in `config.RATES`; Gaussians' groups hold one parameter each."""
-    groups: dict[str, list[nn.Parameter]] = {name: [getattr(avatar.gaussians, name)] for name in Gaussians.PARAMETERS}
+    groups: dict[str, list[nn.Parameter]] = {
+        name: [getattr(avatar.gaussians, name)] for name in Gaussians.PARAMETERS
+    }
     groups["response"] = [avatar.response_logits]
     groups["network"] = list(avatar.motion.parameters())
     groups["light"] = list(avatar.light.parameters())
@@ -24,7 +27,10 @@ def make_optimizer(avatar: Avatar, tracked: TrackedParameters) -> torch.optim.Ad
     groups["pose"] = [tracked.rotation, tracked.neck, tracked.jaw, tracked.eyes]
     groups["translation"] = [tracked.translation]
     return torch.optim.Adam(
-        [{"params": parameters, "name": name} for name, parameters in groups.items()], lr=0.0, eps=ADAM_EPSILON, fused=True
+        [{"params": parameters, "name": name} for name, parameters in groups.items()],
+        lr=0.0,
+        eps=ADAM_EPSILON,
+        fused=True,
     )
 
 
@@ -44,8 +50,11 @@ def reset_moments(optimizer: torch.optim.Adam, group_name: str) -> None:
                         optimizer.state[parameter][moment].zero_()
 
 
-def replace_gaussians(optimizer: torch.optim.Adam, old: Gaussians, new: Gaussians, kept: torch.Tensor) -> None:
-    """Put new Gaussians in the optimiser, with the moments of those that stay and zero moments for those that are new.
+def replace_gaussians(
+    optimizer: torch.optim.Adam, old: Gaussians, new: Gaussians, kept: torch.Tensor
+) -> None:
+    """Put new Gaussians in the optimiser, with the moments of those that stay and zero moments for those that
+    are new.
 
     Args:
         optimizer: The optimiser that holds ``old``.

@@ -11,16 +11,16 @@ from typing import Any, NamedTuple
 
 import torch
 
+from samira_subject.cache import built_in_subject, subject_folder
 from samira_warp.avatar import Avatar, DrivingFrame, write_frames
 from samira_warp.check import open_checked
 from samira_warp.data import PixelCache, Sequence
 from samira_warp.data.pixels import load_mask
-from samira_warp.errors import UserError
 from samira_warp.evaluate import ImagePair, evaluate_images, find_lpips
 from samira_warp.evaluate.lpips import SMALLEST_IMAGE, Lpips
-from samira_warp.files import read_json, replace_file, replace_folder
-from samira_warp.images import to_uint8
-from samira_warp.subject.cache import built_in_subject, subject_folder
+from samira_warp.io.files import read_json, replace_file, replace_folder
+from samira_warp.io.images import to_uint8
+from samira_warp.support.errors import UserError
 from samira_warp.train.checkpoint import last_checkpoint
 from samira_warp.train.config import PRESETS, Schedule, TrainConfig
 from samira_warp.train.losses import SSIM_WINDOW
@@ -40,8 +40,9 @@ TRAINING_LPIPS = {"cpu": "alex", "paper": "vgg"}
 def train(config: TrainConfig) -> Path | None:
     """Train an avatar, write its run folder and score it on the test frames.
 
-    Everything that can be checked without decoding images is checked before the run folder is touched; what can be checked without a
-    dataset, before the built-in subject is made, where ``data`` is None and it is not there yet.
+    Everything that can be checked without decoding images is checked before the run folder is touched; what
+    can be checked without a dataset, before the built-in subject is made, where ``data`` is None and it is
+    not there yet.
 
     Returns:
         The run folder, or None when Ctrl-C ended the run early (a checkpoint was saved).
@@ -65,7 +66,10 @@ def train(config: TrainConfig) -> Path | None:
     with PixelCache(sequence.frames, width=size[0], height=size[1], max_bytes=PIXEL_CACHE_BYTES) as pixels:
         if resumed is None:
             begun = start(config, sequence, pixels, steps=steps)
-            avatar, record = begun.avatar, {**facts, "reference_frame": begun.reference, "encoder": begun.encoder}
+            avatar, record = (
+                begun.avatar,
+                {**facts, "reference_frame": begun.reference, "encoder": begun.encoder},
+            )
         else:
             avatar, record = Avatar.load(resumed.checkpoint, device=config.device), resumed.record
         trainer = Trainer(
@@ -84,7 +88,10 @@ def train(config: TrainConfig) -> Path | None:
         _announce(sequence, record["encoder"], perceptual, config)
         replace_file(config.out / "config.json", json.dumps(record, indent=1))
         if not trainer.run(config.out, record=record):
-            print(f"stopped at step {trainer.step} of {steps}; go on with the same command and --resume", file=sys.stderr)
+            print(
+                f"stopped at step {trainer.step} of {steps}; go on with the same command and --resume",
+                file=sys.stderr,
+            )
             return None
         replace_folder(config.out / "avatar", lambda folder: _write_result(folder, trainer, record))
         results = score(trainer, perceptual)
@@ -95,7 +102,9 @@ def train(config: TrainConfig) -> Path | None:
 
 @torch.no_grad()
 def score(trainer: Trainer, lpips: Lpips | str) -> dict[str, Any]:
-    """Render the test frames with the parameters they came with, and score them in 8 bits against the truth."""
+    """Render the test frames with the parameters they came with, and score them in 8 bits against the
+    truth.
+    """
     sequence, avatar = trainer.sequence, trainer.avatar
     light = avatar.light()
 
@@ -104,7 +113,8 @@ def score(trainer: Trainer, lpips: Lpips | str) -> dict[str, Any]:
             frame = sequence.frames[index]
             rendering = avatar.render(frame.parameters.to(trainer.device), trainer.camera(frame), light)
             prediction = torch.from_numpy(to_uint8(rendering.image.cpu().numpy())).float() / 255.0
-            # not the cache's mask: at its 16 bits, pixels covered by exactly one half would count as foreground
+            # not the cache's mask: at its 16 bits, pixels covered by exactly one half would count as
+            # foreground
             mask = load_mask(frame, width=trainer.size[0], height=trainer.size[1])
             yield ImagePair(frame.name, prediction, trainer.pixels[index].image, mask=mask)
 
@@ -122,10 +132,20 @@ def _write_result(folder: Path, trainer: Trainer, record: dict[str, Any]) -> Non
     """The avatar with its frames: fine-tuned parameters where it trained, the tracker's elsewhere."""
     trainer.avatar.save(folder, record=record)
     frames = trainer.sequence.frames
-    fitted = {index: trainer.tracked.frame(row, frames[index].parameters) for row, index in enumerate(trainer.sequence.train)}
-    parts = [(index, "test") for index in trainer.sequence.test] + [(index, "train") for index in trainer.sequence.train]
+    fitted = {
+        index: trainer.tracked.frame(row, frames[index].parameters)
+        for row, index in enumerate(trainer.sequence.train)
+    }
+    parts = [(index, "test") for index in trainer.sequence.test] + [
+        (index, "train") for index in trainer.sequence.train
+    ]
     driving = [
-        DrivingFrame(frames[index].name, fitted.get(index, frames[index].parameters), trainer.camera(frames[index]), part)
+        DrivingFrame(
+            frames[index].name,
+            fitted.get(index, frames[index].parameters),
+            trainer.camera(frames[index]),
+            part,
+        )
         for index, part in parts
     ]
     write_frames(folder, driving)
@@ -154,7 +174,9 @@ def _checkpoint(config: TrainConfig) -> Path | None:
     if config.resume:
         return last_checkpoint(config.out / "checkpoints")
     if any((config.out / "checkpoints").glob("step_*")):
-        raise UserError(config.out, expected="a new folder, or --resume to go on with the run there", found="a run")
+        raise UserError(
+            config.out, expected="a new folder, or --resume to go on with the run there", found="a run"
+        )
     return None
 
 
@@ -168,16 +190,24 @@ def _resumable(config: TrainConfig, checkpoint: Path, facts: dict[str, Any]) -> 
     record = read_json(path)
     for name, kind in (("settings", dict), ("encoder", str)):
         if not isinstance(record.get(name), kind):
-            raise UserError(f"{path}: {name}", expected="how the run was begun", found=type(record.get(name)).__name__)
+            raise UserError(
+                f"{path}: {name}", expected="how the run was begun", found=type(record.get(name)).__name__
+            )
     now = json.loads(json.dumps(facts))
     compared = {name: value for name, value in now["settings"].items() if name not in FREE_ON_RESUME}
-    found = {f"--{name.replace('_', '-')}": (record["settings"].get(name), value) for name, value in compared.items()}
+    found = {
+        f"--{name.replace('_', '-')}": (record["settings"].get(name), value)
+        for name, value in compared.items()
+    }
     found |= {name: (record.get(name), value) for name, value in now.items() if name not in RECORDED_ONLY}
     for name, (then, value) in found.items():
         if then != value:
             raise UserError(f"{config.out}: {name}", expected=f"{then} as the run was begun", found=value)
     if record.get("torch_threads") != now["torch_threads"]:
-        print(f"begun with {record.get('torch_threads')} threads, now {now['torch_threads']}: the bits will differ", file=sys.stderr)
+        print(
+            f"begun with {record.get('torch_threads')} threads, now {now['torch_threads']}: the bits will differ",
+            file=sys.stderr,
+        )
     return _Resumed(checkpoint, record)
 
 
@@ -189,7 +219,9 @@ def _check_size(config: TrainConfig, size: tuple[int, int]) -> None:
     """
     if min(size) < SSIM_WINDOW:
         expected = f"images of at least {SSIM_WINDOW} pixels a side"
-        raise UserError(f"--resolution {config.resolution}", expected=expected, found=f"{size[0]} x {size[1]}")
+        raise UserError(
+            f"--resolution {config.resolution}", expected=expected, found=f"{size[0]} x {size[1]}"
+        )
 
 
 def _built_in() -> Path:
@@ -200,7 +232,10 @@ def _built_in() -> Path:
 
 def _announce(sequence: Sequence, encoder: str, perceptual: Lpips | str, config: TrainConfig) -> None:
     """Say what will be trained, and which optional parts are missing and why."""
-    print(f"{sequence.root.name}: {len(sequence.train)} training and {len(sequence.test)} test frames on {config.device}", file=sys.stderr)
+    print(
+        f"{sequence.root.name}: {len(sequence.train)} training and {len(sequence.test)} test frames on {config.device}",
+        file=sys.stderr,
+    )
     for note in sequence.notes:
         print(note, file=sys.stderr)
     print(f"image encoder: {encoder}", file=sys.stderr)

@@ -14,12 +14,18 @@ import torch
 from samira_warp.avatar import Avatar, AvatarSettings, CanonicalHead, conditions_of
 from samira_warp.data import PixelCache, Sequence
 from samira_warp.data.split import parse_split
-from samira_warp.devices import pick_device
-from samira_warp.errors import UserError
 from samira_warp.light import LearnableLight, decode_srgb
 from samira_warp.nets import MotionSettings, encode_reference
+from samira_warp.support.devices import pick_device
+from samira_warp.support.errors import UserError
 from samira_warp.train.config import PRESETS, SHORT_RUN, LossWeights, TrainConfig
-from samira_warp.train.initialize import choose_reference, condition_statistics, initial_albedo, initial_gaussians, view_of
+from samira_warp.train.initialize import (
+    choose_reference,
+    condition_statistics,
+    initial_albedo,
+    initial_gaussians,
+    view_of,
+)
 from samira_warp.train.unwrap import unwrap
 
 INITIAL_OPACITY = 0.1
@@ -45,7 +51,8 @@ class Start(NamedTuple):
 
 
 def resolve(config: TrainConfig) -> TrainConfig:
-    """Fill in what the preset and the machine decide; ``data`` stays None where the built-in subject is meant.
+    """Fill in what the preset and the machine decide; ``data`` stays None where the built-in subject is
+    meant.
 
     Raises:
         UserError: A value is out of range, or a GPU is asked for where there is none.
@@ -120,13 +127,18 @@ def start(config: TrainConfig, sequence: Sequence, pixels: PixelCache, *, steps:
     generator = torch.Generator().manual_seed(config.seed)
     settings = avatar_settings(config)
     canonical = CanonicalHead.build(
-        sequence.template, shape=sequence.shape, static_offset=sequence.canonical_static_offset, uv_size=settings.uv_size
+        sequence.template,
+        shape=sequence.shape,
+        static_offset=sequence.canonical_static_offset,
+        uv_size=settings.uv_size,
     )
     statistics = condition_statistics(sequence)
     index = choose_reference(sequence, canonical, statistics)
     view = view_of(sequence, pixels, index)
     unwrapped = unwrap([view], canonical)
-    features, encoder = encode_reference(view.image if config.reference == "screen" else unwrapped, encoder=config.encoder)
+    features, encoder = encode_reference(
+        view.image if config.reference == "screen" else unwrapped, encoder=config.encoder
+    )
     decode = decode_srgb if config.color_space == "srgb" else torch.clone
     appearance, albedo = decode(unwrapped), decode(initial_albedo(sequence, pixels, canonical, unwrapped))
     gaussians = initial_gaussians(
@@ -138,12 +150,16 @@ def start(config: TrainConfig, sequence: Sequence, pixels: PixelCache, *, steps:
         generator=generator,
     )
     light = LearnableLight(_mean_light(appearance, albedo, canonical), tied=config.tie_light)
-    avatar = Avatar(canonical, settings, gaussians=gaussians, image_features=features, statistics=statistics, light=light)
+    avatar = Avatar(
+        canonical, settings, gaussians=gaussians, image_features=features, statistics=statistics, light=light
+    )
     return Start(avatar.to(config.device), sequence.frames[index].name, encoder)
 
 
 def _mean_light(appearance: torch.Tensor, albedo: torch.Tensor, canonical: CanonicalHead) -> torch.Tensor:
-    """(3,) radiance of the uniform light that gives the mean colour of (h, w, 3) appearance to (h, w, 3) albedo."""
+    """(3,) radiance of the uniform light that gives the mean colour of (h, w, 3) appearance to (h, w, 3)
+    albedo.
+    """
     valid = canonical.atlas.valid
     return appearance[valid].mean(dim=0) / albedo[valid].mean(dim=0).clamp(min=1e-3)
 
@@ -172,7 +188,9 @@ def run_facts(config: TrainConfig, sequence: Sequence, *, steps: int, perceptual
 
 
 def _frames_hash(sequence: Sequence) -> str:
-    """Digest of the subject's shape and of every frame's name and tracked head: FLAME's template and a frame count are many subjects'."""
+    """Digest of the subject's shape and of every frame's name and tracked head: FLAME's template and a frame
+    count are many subjects'.
+    """
     digest = sha256(sequence.shape.numpy().tobytes())
     for index in (*sequence.train, *sequence.test):
         frame = sequence.frames[index]

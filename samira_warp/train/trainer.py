@@ -8,11 +8,11 @@ from typing import Any
 import torch
 
 from samira_warp.avatar import Avatar, Gaussians, Rendering, geometry_uv
-from samira_warp.camera import Camera
 from samira_warp.data import Frame, PixelCache, Sequence
 from samira_warp.evaluate.lpips import Lpips
-from samira_warp.head.geometry import face_areas
-from samira_warp.kernels.triangle_frames import triangle_frames
+from samira_warp.geometry.camera import Camera
+from samira_warp.geometry.mesh import face_areas
+from samira_warp.kernels.mesh.triangle_frames import triangle_frames
 from samira_warp.train.checkpoint import TrainingState, load_training, save_checkpoint
 from samira_warp.train.config import LossWeights, Schedule, TrainConfig
 from samira_warp.train.density import DensityStatistics, control_density, reset_opacity
@@ -30,7 +30,8 @@ PREFETCH = 8
 class Trainer:
     """Fits an avatar to a sequence, one frame a step.
 
-    Every random choice is a function of the seed and the step, so a run that goes on from a checkpoint makes the same ones.
+    Every random choice is a function of the seed and the step, so a run that goes on from a checkpoint makes
+    the same ones.
     """
 
     def __init__(
@@ -50,7 +51,9 @@ class Trainer:
         self.weights: LossWeights = loss_weights(config)
         self.perceptual = perceptual
         self.device = torch.device(config.device)
-        self.tracked = TrackedParameters([sequence.frames[index].parameters for index in sequence.train]).to(self.device)
+        self.tracked = TrackedParameters([sequence.frames[index].parameters for index in sequence.train]).to(
+            self.device
+        )
         self.optimizer = make_optimizer(avatar, self.tracked)
         self.density = DensityStatistics(len(avatar.gaussians), self.device)
         self.step = 0
@@ -85,7 +88,9 @@ class Trainer:
         return save_checkpoint(folder / "checkpoints", state, record=record)
 
     def train_step(self) -> tuple[Rendering, Target, dict[str, torch.Tensor]]:
-        """One frame forward, backward and updated; the rendering, what it should be, and the detached loss terms."""
+        """One frame forward, backward and updated; the rendering, what it should be, and the detached loss
+        terms.
+        """
         row = self._row(self.step)
         stage_two = "no-two-stage" in self.config.ablate or self.schedule.in_stage_two(self.step)
         self.avatar.gaussians.normals.requires_grad_(stage_two)
@@ -94,8 +99,12 @@ class Trainer:
         frame, target = self._target(row)
         camera = self.camera(frame)
         rendering = self.avatar.render(self.tracked.frame(row, frame.parameters.to(self.device)), camera)
-        perceptual = self.perceptual if self.schedule.perceptual_on(self.step) and self._perceptual_turn() else None
-        terms = total_loss(rendering, target, self.avatar, self.weights, stage_two=stage_two, perceptual=perceptual)
+        perceptual = (
+            self.perceptual if self.schedule.perceptual_on(self.step) and self._perceptual_turn() else None
+        )
+        terms = total_loss(
+            rendering, target, self.avatar, self.weights, stage_two=stage_two, perceptual=perceptual
+        )
         self.optimizer.zero_grad(set_to_none=True)
         torch.stack(list(terms.values())).sum().backward()
         self._gather_density(rendering)
@@ -111,7 +120,9 @@ class Trainer:
         return frame.camera.resized(width=width, height=height).to(self.device)
 
     def _row(self, step: int) -> int:
-        """The training frame of a step: a fresh permutation every epoch, from the seed and the epoch alone."""
+        """The training frame of a step: a fresh permutation every epoch, from the seed and the epoch
+        alone.
+        """
         count = len(self.sequence.train)
         epoch, place = divmod(step, count)
         generator = torch.Generator().manual_seed(self.config.seed * 1_000_003 + epoch)
@@ -148,7 +159,12 @@ class Trainer:
             scales = triangle_frames(canonical.vertices, canonical.topology).scale
             areas = face_areas(canonical.vertices, canonical.topology.faces)
             change = control_density(
-                avatar.gaussians, self.density, face_scales=scales, face_areas=areas, cap=self.cap, generator=generator
+                avatar.gaussians,
+                self.density,
+                face_scales=scales,
+                face_areas=areas,
+                cap=self.cap,
+                generator=generator,
             )
             replace_gaussians(self.optimizer, avatar.gaussians, change.gaussians, change.kept)
             self._refresh_uv(change.gaussians)
@@ -163,6 +179,10 @@ class Trainer:
         """Run Alg. 1 again on the reference mesh."""
         canonical = self.avatar.canonical
         gaussians.uv = geometry_uv(
-            gaussians.means.detach(), gaussians.faces, vertices=canonical.vertices, topology=canonical.topology, atlas=canonical.atlas
+            gaussians.means.detach(),
+            gaussians.faces,
+            vertices=canonical.vertices,
+            topology=canonical.topology,
+            atlas=canonical.atlas,
         )
         self.avatar.set_gaussians(gaussians)

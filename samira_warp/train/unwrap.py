@@ -8,10 +8,10 @@ import torch
 from scipy.spatial import cKDTree
 
 from samira_warp.avatar import CanonicalHead
-from samira_warp.camera import Camera
+from samira_warp.geometry.camera import Camera
+from samira_warp.geometry.mesh import vertex_normals
 from samira_warp.head import FrameParameters
-from samira_warp.head.geometry import vertex_normals
-from samira_warp.kernels.visibility import visible
+from samira_warp.kernels.rays.visibility import visible
 
 GRAZING_COSINE = 0.2
 """Texels seen at less than this cosine are not read: their pixels are mixed with what lies beside them."""
@@ -38,10 +38,12 @@ class View(NamedTuple):
 
 @torch.no_grad()
 def unwrap(views: list[View], canonical: CanonicalHead) -> torch.Tensor:
-    """Average what the views see of each texel, by the cosine at which they see it, and fill in what none sees.
+    """Average what the views see of each texel, by the cosine at which they see it, and fill in what none
+    sees.
 
-    A texel that no view sees takes the value of the nearest seen point to its mirror image in x on the reference mesh (heads are about
-    symmetric); texels outside the atlas, and everything if nothing is seen, take the mean.
+    A texel that no view sees takes the value of the nearest seen point to its mirror image in x on the
+    reference mesh (heads are about symmetric); texels outside the atlas, and everything if nothing is seen,
+    take the mean.
 
     Returns:
         (h, w, C) values on the atlas's texels.
@@ -59,12 +61,16 @@ def unwrap(views: list[View], canonical: CanonicalHead) -> torch.Tensor:
     texture[~known] = mean
     missing = canonical.atlas.valid.flatten() & ~known
     if bool(known.any()) and bool(missing.any()):
-        texture[missing] = texture[known][_nearest_mirrored(canonical.positions.flatten(0, 1), known, missing)]
+        texture[missing] = texture[known][
+            _nearest_mirrored(canonical.positions.flatten(0, 1), known, missing)
+        ]
     return texture.unflatten(0, (size, size))
 
 
 def _read_view(view: View, canonical: CanonicalHead) -> tuple[torch.Tensor, torch.Tensor]:
-    """Weight (T, 1) and value (T, C) of every texel in one view; the weight is 0 where the view does not see it."""
+    """Weight (T, 1) and value (T, C) of every texel in one view; the weight is 0 where the view does not see
+    it.
+    """
     vertices = canonical.pose(view.parameters).vertices
     points = canonical.atlas.positions(vertices).flatten(0, 1)
     normals = canonical.atlas.positions(vertex_normals(vertices, canonical.topology.faces)).flatten(0, 1)
@@ -82,7 +88,9 @@ def _read_view(view: View, canonical: CanonicalHead) -> tuple[torch.Tensor, torc
 
 
 def _nearest_mirrored(positions: torch.Tensor, known: torch.Tensor, missing: torch.Tensor) -> torch.Tensor:
-    """For each missing texel, the index among the known ones of the point nearest to its mirror image in x."""
+    """For each missing texel, the index among the known ones of the point nearest to its mirror image in
+    x.
+    """
     mirrored = positions[missing] * positions.new_tensor([-1.0, 1.0, 1.0])
     _, nearest = cKDTree(positions[known].cpu().numpy()).query(mirrored.cpu().numpy())
     return torch.from_numpy(nearest).to(positions.device)

@@ -8,14 +8,27 @@ import torch
 from subjects import small_template
 
 from samira_warp.avatar.driving import Driver, ExpressionMap, PoseRange, match_expressions
-from samira_warp.errors import UserError
 from samira_warp.head import FrameParameters
+from samira_warp.support.errors import UserError
 
 NAMES = ("jawOpen", "browsUp", "smileLeft", "smileRight")
 
 
-def frame(*, translation=(0, 0, 0), rotation=(0, 0, 0), neck=(0, 0, 0), jaw=(0, 0, 0), eyes=(0,) * 6, expression=(0, 0, 0, 0)):
-    return FrameParameters(*(torch.tensor(values, dtype=torch.float32) for values in (translation, rotation, neck, jaw, eyes, expression)))
+def frame(
+    *,
+    translation=(0, 0, 0),
+    rotation=(0, 0, 0),
+    neck=(0, 0, 0),
+    jaw=(0, 0, 0),
+    eyes=(0,) * 6,
+    expression=(0, 0, 0, 0),
+):
+    return FrameParameters(
+        *(
+            torch.tensor(values, dtype=torch.float32)
+            for values in (translation, rotation, neck, jaw, eyes, expression)
+        )
+    )
 
 
 def named(*names):
@@ -23,7 +36,9 @@ def named(*names):
     template = small_template()
     first = template.shapedirs[:, :, : template.n_shape + 1]
     copies = np.repeat(first[:, :, -1:], len(names), axis=2)
-    return replace(template, shapedirs=np.concatenate([first[:, :, :-1], copies], axis=2), expression_names=names)
+    return replace(
+        template, shapedirs=np.concatenate([first[:, :, :-1], copies], axis=2), expression_names=names
+    )
 
 
 def numbers(tensor):
@@ -36,16 +51,31 @@ def same(first, second):
 
 
 def test_a_zero_neutral_without_gain_changes_no_bit():
-    driven = frame(translation=(0.1, 0.2, 0.3), rotation=(0.1, -3.0, 0.2), jaw=(0.3, 0, 0), expression=(0.1, -0.7, 3.3, 0.01))
+    driven = frame(
+        translation=(0.1, 0.2, 0.3),
+        rotation=(0.1, -3.0, 0.2),
+        jaw=(0.3, 0, 0),
+        expression=(0.1, -0.7, 3.3, 0.01),
+    )
     assert same(Driver(ExpressionMap.identity(4)).drive(driven), driven)
 
 
 def test_expression_and_jaw_are_relative_to_the_drivers_neutral():
     neutral = frame(
-        translation=(9, 9, 9), rotation=(9, 9, 9), neck=(9, 9, 9), jaw=(0.25, 0, -0.5), eyes=(9,) * 6, expression=(1, 0, -2, 0.5)
+        translation=(9, 9, 9),
+        rotation=(9, 9, 9),
+        neck=(9, 9, 9),
+        jaw=(0.25, 0, -0.5),
+        eyes=(9,) * 6,
+        expression=(1, 0, -2, 0.5),
     )
     moved = frame(
-        translation=(1, 2, 3), rotation=(4, 5, 6), neck=(7, 8, 9), jaw=(0.5, 0.25, 0), eyes=(1, 2, 3, 4, 5, 6), expression=(1.5, 1, -1, 0.5)
+        translation=(1, 2, 3),
+        rotation=(4, 5, 6),
+        neck=(7, 8, 9),
+        jaw=(0.5, 0.25, 0),
+        eyes=(1, 2, 3, 4, 5, 6),
+        expression=(1.5, 1, -1, 0.5),
     )
     driven = Driver(ExpressionMap.identity(4), neutral=neutral, gain=2.0).drive(moved)
     # 2 * (moved - neutral); the gain is the expression's alone
@@ -65,7 +95,9 @@ def test_the_neutral_frame_itself_has_the_avatars_neutral_face():
 
 def test_the_drivers_offsets_do_not_change_whose_head_it_is():
     offset = torch.ones(5, 3)
-    driven = Driver(ExpressionMap.identity(4)).drive(replace(frame(), static_offset=offset, dynamic_offset=offset))
+    driven = Driver(ExpressionMap.identity(4)).drive(
+        replace(frame(), static_offset=offset, dynamic_offset=offset)
+    )
     assert driven.static_offset is None
     # an offset of a frame is a movement: who calls decides whether the heads are near enough for it
     assert driven.dynamic_offset is offset
@@ -117,7 +149,10 @@ def test_equal_templates_match_whatever_their_names_are():
 
 
 def test_expressions_are_matched_by_name():
-    driver, avatar = named("smileRight", "jawOpen", "puff", "browsUp", "smileLeft"), named("tongueOut", *NAMES)
+    driver, avatar = (
+        named("smileRight", "jawOpen", "puff", "browsUp", "smileLeft"),
+        named("tongueOut", *NAMES),
+    )
     matched = match_expressions(driver, avatar, source="other")  # four of five: exactly 80 %
     assert matched.left_out == ("puff",)
     carried = matched.carry(torch.tensor([1.0, 2.0, 3.0, 4.0, 5.0]))
@@ -127,7 +162,9 @@ def test_expressions_are_matched_by_name():
 def test_neutral_and_gain_are_the_drivers_before_names_are_matched():
     matched = match_expressions(named("b", "a"), named("a", "new", "b"), source="other")
     neutral = replace(frame(), expression=torch.tensor([1.0, -1.0]))
-    driven = Driver(matched, neutral=neutral, gain=0.5).drive(replace(frame(), expression=torch.tensor([3.0, 3.0])))
+    driven = Driver(matched, neutral=neutral, gain=0.5).drive(
+        replace(frame(), expression=torch.tensor([3.0, 3.0]))
+    )
     assert numbers(driven.expression) == [2.0, 0.0, 1.0]
 
 

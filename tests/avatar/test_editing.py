@@ -4,9 +4,9 @@ from subjects import camera, parameters, small_avatar
 
 from samira_warp.avatar import MaterialEdit, SurfaceAttributes
 from samira_warp.avatar.editing import edit_materials
-from samira_warp.errors import UserError
 from samira_warp.head import REGIONS
 from samira_warp.light import decode_srgb
+from samira_warp.support.errors import UserError
 
 COUNT = 50
 
@@ -14,7 +14,9 @@ COUNT = 50
 @pytest.fixture
 def surface(generator, device):
     widths = {name: 3 if name in ("albedo", "normal") else 1 for name in SurfaceAttributes._fields}
-    return SurfaceAttributes(*(torch.rand(COUNT, width, generator=generator).to(device) for width in widths.values()))
+    return SurfaceAttributes(
+        *(torch.rand(COUNT, width, generator=generator).to(device) for width in widths.values())
+    )
 
 
 @pytest.fixture
@@ -31,7 +33,11 @@ def weights(generator, device):
         ("specular", "0", torch.zeros_like),
         ("albedo", "x1.2", lambda x: (1.2 * x).clamp(max=1)),
         ("albedo", "1.5,1,0", lambda x: (x * torch.tensor([1.5, 1.0, 0.0], device=x.device)).clamp(max=1)),
-        ("albedo", "#8000FF", lambda x: decode_srgb(torch.tensor([128, 0, 255], device=x.device) / 255).expand_as(x)),
+        (
+            "albedo",
+            "#8000FF",
+            lambda x: decode_srgb(torch.tensor([128, 0, 255], device=x.device) / 255).expand_as(x),
+        ),
     ],
 )
 def test_each_change(surface, weights, name, text, expected):
@@ -43,7 +49,9 @@ def test_each_change(surface, weights, name, text, expected):
 
 def test_a_colour_is_as_it_is_where_shading_works_in_image_values(surface, weights):
     edited = edit_materials(surface, [MaterialEdit(albedo="#336699")], weights, color_space="raw")
-    torch.testing.assert_close(edited.albedo, torch.tensor([0.2, 0.4, 0.6], device=weights.device).expand(COUNT, 3))
+    torch.testing.assert_close(
+        edited.albedo, torch.tensor([0.2, 0.4, 0.6], device=weights.device).expand(COUNT, 3)
+    )
 
 
 def test_regions_weigh_the_change(surface, weights):
@@ -66,7 +74,9 @@ def test_what_is_no_change_is_refused(change):
         MaterialEdit(roughness=change)
 
 
-@pytest.mark.parametrize("change", ["", "0.5", "red", "#fff", "#12345g", "1,2", "1,2,3,4", "1,-2,3", "x1,1,1"])
+@pytest.mark.parametrize(
+    "change", ["", "0.5", "red", "#fff", "#12345g", "1,2", "1,2,3,4", "1,-2,3", "x1,1,1"]
+)
 def test_what_is_no_albedo_is_refused(change):
     with pytest.raises(UserError, match="albedo: expected a colour"):
         MaterialEdit(albedo=change)

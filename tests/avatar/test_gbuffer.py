@@ -2,7 +2,7 @@ import torch
 from subjects import camera
 
 from samira_warp.avatar.gbuffer import SurfaceAttributes, render_gbuffer
-from samira_warp.constants import COVERED_ALPHA
+from samira_warp.support.constants import COVERED_ALPHA
 
 VALUES = {"roughness": 0.3, "specular": 0.04, "response_diffuse": 1.2, "response_specular": 0.7}
 
@@ -19,14 +19,24 @@ def gaussians_on_a_plane(count, generator, *, depth, device):
 
 def constant_attributes(count, device):
     normal = torch.nn.functional.normalize(torch.tensor([0.3, -0.5, 0.8]), dim=0)
-    columns = {"albedo": torch.tensor([0.2, 0.5, 0.9]), "normal": normal, **{name: torch.tensor([value]) for name, value in VALUES.items()}}
-    return SurfaceAttributes(**{name: value.to(device).expand(count, -1).contiguous() for name, value in columns.items()})
+    columns = {
+        "albedo": torch.tensor([0.2, 0.5, 0.9]),
+        "normal": normal,
+        **{name: torch.tensor([value]) for name, value in VALUES.items()},
+    }
+    return SurfaceAttributes(
+        **{name: value.to(device).expand(count, -1).contiguous() for name, value in columns.items()}
+    )
 
 
 def test_constant_attributes_come_back_whatever_the_coverage(device, generator):
     count = 60
     attributes = constant_attributes(count, device)
-    g = render_gbuffer(*gaussians_on_a_plane(count, generator, depth=1.0, device=device), attributes, camera(40, device=device))
+    g = render_gbuffer(
+        *gaussians_on_a_plane(count, generator, depth=1.0, device=device),
+        attributes,
+        camera(40, device=device),
+    )
     covered = g.alpha[..., 0] >= COVERED_ALPHA
     alphas = g.alpha[covered]
     assert alphas.min() < 0.05
@@ -34,9 +44,12 @@ def test_constant_attributes_come_back_whatever_the_coverage(device, generator):
     assert not covered.all()
     for name in SurfaceAttributes._fields:
         found = getattr(g, name)[covered]
-        # alpha and channels are float32 sums of the same weights: some roundings apart relative to the channel
+        # alpha and channels are float32 sums of the same weights: some roundings apart relative to the
+        # channel
         torch.testing.assert_close(found, getattr(attributes, name)[0].expand_as(found), atol=0, rtol=1e-5)
-    torch.testing.assert_close(g.normal[covered].norm(dim=-1), torch.ones_like(alphas[:, 0]), atol=1e-6, rtol=0)
+    torch.testing.assert_close(
+        g.normal[covered].norm(dim=-1), torch.ones_like(alphas[:, 0]), atol=1e-6, rtol=0
+    )
 
 
 def test_depth_of_a_plane_is_its_distance_along_the_axis(device, generator):
@@ -56,7 +69,9 @@ def test_nothing_is_where_nothing_is(device, generator):
 
 def test_the_gradient_of_projected_means_is_kept_for_density_control(device, generator):
     means, *rest = gaussians_on_a_plane(20, generator, depth=1.0, device=device)
-    g = render_gbuffer(means.requires_grad_(), *rest, constant_attributes(20, device), camera(32, device=device))
+    g = render_gbuffer(
+        means.requires_grad_(), *rest, constant_attributes(20, device), camera(32, device=device)
+    )
     # straight channels of a constant do not move with the means; coverage does
     (g.alpha * torch.rand(32, 32, 1, generator=generator).to(device)).sum().backward()
     assert g.screen.means2d.grad.shape == (20, 2)

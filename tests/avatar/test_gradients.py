@@ -1,4 +1,5 @@
-"""Gradients of the whole avatar by finite differences, along directions that involve every entry of an input."""
+"""Gradients of the whole avatar by finite differences, along directions that involve every entry of an
+input."""
 
 from dataclasses import replace
 
@@ -9,11 +10,13 @@ from subjects import SMALL_LIGHT, camera, parameters, small_avatar
 STEP = 2e-3
 
 SHORTER = {"jaw": 3e-4}
-"""A triangle between the lips is almost flat when the jaw opens: its normal turns quickly, and a step of 2e-3 is beyond the linear."""
+"""A triangle between the lips is almost flat when the jaw opens: its normal turns quickly, and a step of 2e-3
+is beyond the linear."""
 
 
 def smooth_state(moved):
-    """What describes moved Gaussians without the quaternions' sign, which may flip from one step to the next."""
+    """What describes moved Gaussians without the quaternions' sign, which may flip from one step to the
+    next."""
     q = moved.quaternions
     return 10.0 * moved.means, q[:, :, None] * q[:, None, :], moved.normals
 
@@ -22,11 +25,15 @@ def motion_loss(avatar, frame, generator):
     """A random linear function of where the Gaussians are: no pixel, no threshold."""
     with torch.no_grad():
         weights = [
-            torch.randn(value.shape, generator=generator, dtype=torch.float64) for value in smooth_state(avatar.move(frame).gaussians)
+            torch.randn(value.shape, generator=generator, dtype=torch.float64)
+            for value in smooth_state(avatar.move(frame).gaussians)
         ]
 
     def loss(driven):
-        return sum((w * value.double()).sum() for w, value in zip(weights, smooth_state(avatar.move(driven).gaussians), strict=True))
+        return sum(
+            (w * value.double()).sum()
+            for w, value in zip(weights, smooth_state(avatar.move(driven).gaussians), strict=True)
+        )
 
     return loss
 
@@ -51,8 +58,9 @@ def test_motion_gradient_to_head_parameters(name, generator):
 
         step = SHORTER.get(name, STEP)
         halves = [float(central_difference(along, value, direction, size)) for size in (step, 2 * step)]
-    # Richardson takes out the step's square. What is left is float32's rounding: 200 x 22 terms, each good to 1e-7, add up to
-    # 1e-7 * sqrt(4400) = 7e-6 at random, and three times that where roundings agree, over a step
+    # Richardson takes out the step's square. What is left is float32's rounding: 200 x 22 terms, each good to
+    # 1e-7, add up to 1e-7 * sqrt(4400) = 7e-6 at random, and three times that where roundings agree, over a
+    # step
     expected = (4 * halves[0] - halves[1]) / 3
     assert float(leaf.grad @ direction) == pytest.approx(expected, rel=2e-3, abs=2e-5 / step)
 
@@ -88,11 +96,21 @@ GEOMETRY = ("means", "log_scales", "quaternions", "opacity_logits")
 @pytest.mark.parametrize(
     ("names", "tolerance"),
     [
-        # the step's square, float32's rounding of an image's loss of 0.1 against differences of 1e-5, and, for normals, the kinks of
-        # bilinear lookups at the texels' centres that the step crosses: 1.0 % measured
-        ([*(f"gaussians.{name}" for name in SHADING), "light.diffuse", "light.specular", "response_logits"], 0.02),
-        # Gaussians are cut where their alpha is 1/255. What comes in at that rim as they grow or move is in the difference and not in the
-        # gradient: with r^2 = 2 s^2 ln(255 o) it is (1/255) r^2 / (2 s^2 o) = 3 % of each one's own, and more where gradients cancel.
+        # the step's square, float32's rounding of an image's loss of 0.1 against differences of 1e-5, and,
+        # for normals, the kinks of bilinear lookups at the texels' centres that the step crosses: 1.0 %
+        # measured
+        (
+            [
+                *(f"gaussians.{name}" for name in SHADING),
+                "light.diffuse",
+                "light.specular",
+                "response_logits",
+            ],
+            0.02,
+        ),
+        # Gaussians are cut where their alpha is 1/255. What comes in at that rim as they grow or move is in
+        # the difference and not in the gradient: with r^2 = 2 s^2 ln(255 o) it is (1/255) r^2 / (2 s^2 o) = 3
+        # % of each one's own, and more where gradients cancel.
         ([*(f"gaussians.{name}" for name in GEOMETRY), "motion.residual.bias"], 0.12),
     ],
     ids=["shading", "geometry"],

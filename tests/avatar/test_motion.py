@@ -8,14 +8,16 @@ from subjects import camera, parameters, small_avatar, small_canonical
 from samira_warp.avatar import CanonicalHead, conditions_of, geometry_uv
 from samira_warp.avatar.avatar import DISPLACEMENT_UNIT
 from samira_warp.avatar.canonical import neck_rotation
-from samira_warp.head.geometry import face_areas
-from samira_warp.kernels.triangle_frames import triangle_frames
-from samira_warp.reference.binding import bind as bind_in_torch
-from samira_warp.reference.triangle_frames import triangle_frames as frames_in_torch
+from samira_warp.geometry.mesh import face_areas
+from samira_warp.kernels.mesh.triangle_frames import triangle_frames
+from samira_warp.reference.mesh.binding import bind as bind_in_torch
+from samira_warp.reference.mesh.triangle_frames import triangle_frames as frames_in_torch
 
 
 def matrices(quaternions):
-    return torch.from_numpy(Rotation.from_quat(quaternions.detach().double().cpu().numpy(), scalar_first=True).as_matrix())
+    return torch.from_numpy(
+        Rotation.from_quat(quaternions.detach().double().cpu().numpy(), scalar_first=True).as_matrix()
+    )
 
 
 def turned(avatar, *, rotation=(0.4, -0.7, 0.2), neck=(0.1, 0.5, -0.2)):
@@ -53,15 +55,25 @@ def test_final_motion_equals_an_independent_one_in_float64(device):
     # grid_sample's rows run downwards and v upwards
     grid = torch.stack([2 * g.uv[:, 0] - 1, 1 - 2 * g.uv[:, 1]], dim=1).double().cpu()[None, None]
     image = residual.permute(2, 0, 1)[None]
-    sampled = torch.nn.functional.grid_sample(image, grid, align_corners=False, padding_mode="border")[0, :, 0].T
+    sampled = torch.nn.functional.grid_sample(image, grid, align_corners=False, padding_mode="border")[
+        0, :, 0
+    ].T
     assert sampled.abs().max() > 0.5
     locals_ = (value.detach().double().cpu() for value in (g.means, g.quaternions, g.scales, g.normals))
     topology = avatar.canonical.topology.to("cpu")
-    bound = bind_in_torch(*locals_, avatar.binding.to("cpu"), frames_in_torch(head.vertices.double().cpu(), topology))
+    bound = bind_in_torch(
+        *locals_, avatar.binding.to("cpu"), frames_in_torch(head.vertices.double().cpu(), topology)
+    )
     turn = Rotation.from_rotvec(torch.pi * torch.tanh(sampled[:, 3:]).numpy())
     expected = torch.from_numpy(turn.as_matrix()) @ matrices(bound.quaternions)
-    # positions of 0.1 m in float32 by some 10 roundings of 2^-24 of them; rotations of numbers up to 1, with angles up to pi
-    torch.testing.assert_close(motion.gaussians.means.double().cpu(), bound.means + 0.02 * torch.tanh(sampled[:, :3]), atol=2e-7, rtol=0)
+    # positions of 0.1 m in float32 by some 10 roundings of 2^-24 of them; rotations of numbers up to 1, with
+    # angles up to pi
+    torch.testing.assert_close(
+        motion.gaussians.means.double().cpu(),
+        bound.means + 0.02 * torch.tanh(sampled[:, :3]),
+        atol=2e-7,
+        rtol=0,
+    )
     torch.testing.assert_close(matrices(motion.gaussians.quaternions), expected, atol=1e-5, rtol=0)
     torch.testing.assert_close(motion.gaussians.normals.double().cpu(), bound.normals, atol=2e-6, rtol=0)
     torch.testing.assert_close(motion.gaussians.scales.double().cpu(), bound.scales, atol=0, rtol=2e-6)
@@ -93,7 +105,9 @@ def test_the_axes_of_the_residual(frame_of_residual, device):
     # both means are near 0.1 m in float32: their difference is good to 2^-24 * 0.2
     torch.testing.assert_close(difference, shift.expand_as(difference), atol=5e-8, rtol=0)
     turn = torch.from_numpy(Rotation.from_rotvec((axes @ (torch.pi * limited[3:])).numpy()).as_matrix())
-    torch.testing.assert_close(matrices(moved.quaternions), turn @ matrices(plain.quaternions), atol=2e-6, rtol=0)
+    torch.testing.assert_close(
+        matrices(moved.quaternions), turn @ matrices(plain.quaternions), atol=2e-6, rtol=0
+    )
 
 
 def test_rigid_motion_leaves_no_displacement_in_the_heads_frame(device):
@@ -111,7 +125,11 @@ def test_turning_the_neck_displaces_only_what_is_not_on_the_head(device):
     canonical = avatar.canonical
     displacement = canonical.displacement(canonical.pose(turned(avatar)), in_head=True)
     on_root = (
-        torch.from_numpy(canonical.template.weights[:, 0] > 0)[torch.from_numpy(canonical.template.faces).long()].any(dim=1).to(device)
+        torch.from_numpy(canonical.template.weights[:, 0] > 0)[
+            torch.from_numpy(canonical.template.faces).long()
+        ]
+        .any(dim=1)
+        .to(device)
     )
     covered = canonical.atlas.covered
     of_root = on_root[canonical.atlas.face.clamp(min=0).long()] & covered
@@ -125,12 +143,15 @@ def test_expression_is_in_the_displacement_map(device):
     expression = rest.expression.clone()
     expression[0] = 1.0
     displacement = canonical.displacement(canonical.pose(replace(rest, expression=expression)), in_head=True)
-    expected = canonical.atlas.positions(canonical.model.shapedirs[:, :, canonical.model.n_shape].contiguous())
+    expected = canonical.atlas.positions(
+        canonical.model.shapedirs[:, :, canonical.model.n_shape].contiguous()
+    )
     torch.testing.assert_close(displacement, expected, atol=1e-7, rtol=0)
 
 
 def test_displacement_frame_decides_what_the_network_sees(device):
-    """A head that turns as a whole changes the residual in "world" through D_uv, and in "head" through the pose condition alone."""
+    """A head that turns as a whole changes the residual in "world" through D_uv, and in "head" through the
+    pose condition alone."""
     for name, moves in (("head", False), ("world", True)):
         avatar = small_avatar(perturb=0.5, displacement_frame=name, device=device)
         rest = avatar.canonical.model.rest()
@@ -156,7 +177,8 @@ def test_geometry_uv_of_points_on_faces_is_the_barycentric_uv(device, generator)
     uv = geometry_uv(means, ids, vertices=vertices, topology=canonical.topology, atlas=canonical.atlas)
     atlas = canonical.atlas
     expected = (weights[:, :, None] * atlas.vt[atlas.ft.long()]).sum(1)
-    # slivers magnify the roundings of the points: compare where the face's height is a tenth of its length or more
+    # slivers magnify the roundings of the points: compare where the face's height is a tenth of its length or
+    # more
     edges = (vertices[faces] - vertices[faces].roll(1, dims=1)).norm(dim=2).amax(1)
     sound = 2 * face_areas(vertices, faces) > 0.1 * edges**2
     assert sound.float().mean() > 0.9
@@ -170,7 +192,9 @@ def test_geometry_uv_ignores_height_above_the_face(device, generator):
     options = {"vertices": canonical.vertices, "topology": canonical.topology, "atlas": canonical.atlas}
     raised = means.clone()
     raised[:, 1] = 0.3
-    torch.testing.assert_close(geometry_uv(raised, ids, **options), geometry_uv(means, ids, **options), atol=1e-5, rtol=0)
+    torch.testing.assert_close(
+        geometry_uv(raised, ids, **options), geometry_uv(means, ids, **options), atol=1e-5, rtol=0
+    )
 
 
 def test_driving_by_the_same_frame_twice_gives_the_same_bits_and_gradients(device):
@@ -188,7 +212,9 @@ def test_driving_by_the_same_frame_twice_gives_the_same_bits_and_gradients(devic
 def test_the_static_offset_is_the_avatars_own():
     canonical = small_canonical()
     frame, offset = parameters(2), torch.full_like(canonical.vertices, 5e-3)
-    assert torch.equal(canonical.pose(replace(frame, static_offset=offset)).vertices, canonical.pose(frame).vertices)
+    assert torch.equal(
+        canonical.pose(replace(frame, static_offset=offset)).vertices, canonical.pose(frame).vertices
+    )
     own = CanonicalHead.build(canonical.template, shape=canonical.shape, static_offset=offset, uv_size=8)
     assert torch.equal(own.pose(frame).vertices, own.pose(replace(frame, static_offset=-offset)).vertices)
     assert (own.pose(frame).vertices - canonical.pose(frame).vertices).norm(dim=1).mean() > 1e-3

@@ -4,13 +4,31 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from samira_warp.avatar.residual import POSITION_LIMIT, SMALL_ANGLE, axis_angle_to_quaternion, limit_residual, quaternion_product
+from samira_warp.avatar.residual import (
+    POSITION_LIMIT,
+    SMALL_ANGLE,
+    axis_angle_to_quaternion,
+    limit_residual,
+    quaternion_product,
+)
 
-ANGLES = [0.0, 1e-12, 0.5 * SMALL_ANGLE, 0.999 * SMALL_ANGLE, 1.001 * SMALL_ANGLE, 0.1, 1.0, 3.0, math.pi * 0.999]
+ANGLES = [
+    0.0,
+    1e-12,
+    0.5 * SMALL_ANGLE,
+    0.999 * SMALL_ANGLE,
+    1.001 * SMALL_ANGLE,
+    0.1,
+    1.0,
+    3.0,
+    math.pi * 0.999,
+]
 
 
 def vectors(angle, generator, count=8):
-    axes = torch.nn.functional.normalize(torch.randn(count, 3, generator=generator, dtype=torch.float64), dim=1)
+    axes = torch.nn.functional.normalize(
+        torch.randn(count, 3, generator=generator, dtype=torch.float64), dim=1
+    )
     return angle * axes
 
 
@@ -19,15 +37,22 @@ def test_quaternions_are_those_of_the_rotation_vectors(angle, device, generator)
     axis_angle = vectors(angle, generator)
     expected = torch.from_numpy(Rotation.from_rotvec(axis_angle.numpy()).as_quat(scalar_first=True))
     # the series leaves out angle^4 / 384 = 3e-19 at the switch: nothing but float64's rounding remains
-    torch.testing.assert_close(axis_angle_to_quaternion(axis_angle.to(device)).cpu(), expected, atol=1e-15, rtol=0)
+    torch.testing.assert_close(
+        axis_angle_to_quaternion(axis_angle.to(device)).cpu(), expected, atol=1e-15, rtol=0
+    )
     # float32: a few roundings of numbers up to 1
-    torch.testing.assert_close(axis_angle_to_quaternion(axis_angle.float().to(device)).cpu().double(), expected, atol=5e-7, rtol=0)
+    torch.testing.assert_close(
+        axis_angle_to_quaternion(axis_angle.float().to(device)).cpu().double(), expected, atol=5e-7, rtol=0
+    )
 
 
 @pytest.mark.parametrize("angle", ANGLES)
 def test_gradient_by_finite_differences(angle, generator):
-    # the step of 1e-6 straddles the switch between series and closed form at SMALL_ANGLE, where the two agree to 1e-15
-    assert torch.autograd.gradcheck(axis_angle_to_quaternion, vectors(angle, generator).requires_grad_(), eps=1e-6, atol=1e-8)
+    # the step of 1e-6 straddles the switch between series and closed form at SMALL_ANGLE, where the two agree
+    # to 1e-15
+    assert torch.autograd.gradcheck(
+        axis_angle_to_quaternion, vectors(angle, generator).requires_grad_(), eps=1e-6, atol=1e-8
+    )
 
 
 def test_gradient_at_zero_is_half_the_identity(device):
@@ -47,7 +72,9 @@ def test_float32_gradient_is_finite_where_the_square_underflows(length, device):
 def test_product_turns_by_the_right_one_first(device, generator):
     left, right = vectors(1.1, generator), vectors(2.3, generator)
     expected = (Rotation.from_rotvec(left.numpy()) * Rotation.from_rotvec(right.numpy())).as_matrix()
-    product = quaternion_product(axis_angle_to_quaternion(left.to(device)), axis_angle_to_quaternion(right.to(device))).cpu()
+    product = quaternion_product(
+        axis_angle_to_quaternion(left.to(device)), axis_angle_to_quaternion(right.to(device))
+    ).cpu()
     actual = Rotation.from_quat(product.numpy(), scalar_first=True).as_matrix()
     torch.testing.assert_close(torch.from_numpy(actual), torch.from_numpy(expected), atol=1e-14, rtol=0)
     torch.testing.assert_close(product.norm(dim=1), torch.ones(8, dtype=torch.float64), atol=1e-14, rtol=0)

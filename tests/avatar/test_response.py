@@ -51,4 +51,6 @@ def test_gradients_reach_only_the_regions_that_a_texel_is_in(generator):
     logits = torch.zeros(REGIONS, 2, requires_grad=True)
     response_map(response_factors(logits), masks)[..., 0].sum().backward()
     # d tau / d logit is 1/4 at zero, and each of the two has half of the texel
-    torch.testing.assert_close(logits.grad, torch.tensor([[0.0, 0.0], [0.125, 0.0], [0.0, 0.0], [0.125, 0.0]]), atol=1e-6, rtol=0)
+    torch.testing.assert_close(
+        logits.grad, torch.tensor([[0.0, 0.0], [0.125, 0.0], [0.0, 0.0], [0.125, 0.0]]), atol=1e-6, rtol=0
+    )

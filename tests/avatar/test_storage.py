@@ -39,7 +39,16 @@ def test_a_loaded_avatar_renders_the_same_bits(saved):
     with torch.no_grad():
         before, after = avatar.render(frame, view), loaded.render(frame, view)
     assert torch.equal(before.image, after.image)
-    for name in ("albedo", "normal", "roughness", "specular", "response_diffuse", "response_specular", "depth", "alpha"):
+    for name in (
+        "albedo",
+        "normal",
+        "roughness",
+        "specular",
+        "response_diffuse",
+        "response_specular",
+        "depth",
+        "alpha",
+    ):
         assert torch.equal(getattr(before.gbuffer, name), getattr(after.gbuffer, name)), name
     assert loaded.settings == avatar.settings
 
@@ -57,7 +66,9 @@ def test_the_saved_light_is_the_learned_one(saved):
 
 def test_every_setting_survives(tmp_path):
     avatar = small_avatar(
-        motion=MotionSettings(width=6, region_width=3, condition_width=5, bands=2, routing=False, displacement=False),
+        motion=MotionSettings(
+            width=6, region_width=3, condition_width=5, bands=2, routing=False, displacement=False
+        ),
         residual_frame="head",
         displacement_frame="world",
         color_space="raw",
@@ -83,7 +94,14 @@ def test_a_run_folder_stands_for_its_avatar(saved):
 
 def test_the_files_hold_no_pickle(saved):
     _, folder = saved
-    names = {"avatar.json", "avatar.safetensors", "frames.safetensors", "light_diffuse.exr", "light_specular.exr", "template.npz"}
+    names = {
+        "avatar.json",
+        "avatar.safetensors",
+        "frames.safetensors",
+        "light_diffuse.exr",
+        "light_specular.exr",
+        "template.npz",
+    }
     assert {path.name for path in folder.iterdir()} == names
     with np.load(folder / "template.npz", allow_pickle=False) as archive:
         assert all(archive[key].dtype.kind != "O" for key in archive)
@@ -115,7 +133,9 @@ def test_a_missing_file_is_named(copy, name):
 @pytest.mark.parametrize("damage", ["cut", "empty", "other"])
 def test_a_broken_file_is_named(copy, name, damage):
     content = (copy / name).read_bytes()
-    (copy / name).write_bytes({"cut": content[: len(content) // 2], "empty": b"", "other": b"\x00\xff" * 100}[damage])
+    (copy / name).write_bytes(
+        {"cut": content[: len(content) // 2], "empty": b"", "other": b"\x00\xff" * 100}[damage]
+    )
     refuses(copy, copy / name)
 
 
@@ -236,7 +256,10 @@ def test_missing_parts_of_the_frames_are_named(copy):
 
 @pytest.mark.parametrize("has_offset", [(True, True), (True, False), (False, False)])
 def test_dynamic_offsets_come_back(copy, has_offset, generator):
-    offsets = [torch.randn(len(small_canonical().vertices), 3, generator=generator) if has else None for has in has_offset]
+    offsets = [
+        torch.randn(len(small_canonical().vertices), 3, generator=generator) if has else None
+        for has in has_offset
+    ]
     frames = [
         DrivingFrame(f"{index}", replace(parameters(index), dynamic_offset=offset), camera(32), "train")
         for index, offset in enumerate(offsets)
@@ -247,7 +270,9 @@ def test_dynamic_offsets_come_back(copy, has_offset, generator):
         if offset is not None:
             assert torch.equal(after.parameters.dynamic_offset, offset)
         with torch.no_grad():
-            assert torch.equal(avatar.move(after.parameters).gaussians.means, avatar.move(before.parameters).gaussians.means)
+            assert torch.equal(
+                avatar.move(after.parameters).gaussians.means, avatar.move(before.parameters).gaussians.means
+            )
 
 
 @pytest.mark.gpu
@@ -273,7 +298,11 @@ def test_frames_come_back(tmp_path, saved):
     ]
     write_frames(folder, frames)
     found = read_frames(folder)
-    assert [(frame.name, frame.part) for frame in found] == [("00000_00", "test"), ("00001_00", "train"), ("00002_00", "train")]
+    assert [(frame.name, frame.part) for frame in found] == [
+        ("00000_00", "test"),
+        ("00001_00", "train"),
+        ("00002_00", "train"),
+    ]
     for before, after in zip(frames, found, strict=True):
         for name in ("translation", "rotation", "neck", "jaw", "eyes", "expression"):
             assert torch.equal(getattr(before.parameters, name), getattr(after.parameters, name))

@@ -9,8 +9,8 @@ from samira_warp.bench import avatar, gsplat_peer, raster, timing
 from samira_warp.bench.memory import peak_bytes
 from samira_warp.bench.scene import make_scene
 from samira_warp.bench.subject import make_avatar, make_camera, make_parameters
-from samira_warp.kernels.projection import project
-from samira_warp.kernels.tiles import TILE, bin_tiles
+from samira_warp.kernels.raster.projection import project
+from samira_warp.kernels.raster.tiles import TILE, bin_tiles
 
 TINY = raster.Sweep((500,), (40,), (3, raster.GBUFFER_CHANNELS), (1, 2))
 MEGABYTE = 2**20
@@ -57,9 +57,14 @@ def test_raster_rows_keep_their_fields(monkeypatch, capsys):
     promised = "gaussians size channels threads forward_ms backward_ms forward_ratio backward_ratio pairs_per_second peak_bytes"
     for row in rows:
         assert set(promised.split()) <= set(row) == {field.name for field in fields(raster.Row)}
-        assert all(row[name] > 0 for name in [*promised.split(), "prepare_ms", "dispatch_forward_ms", "dispatch_backward_ms"])
+        assert all(
+            row[name] > 0
+            for name in [*promised.split(), "prepare_ms", "dispatch_forward_ms", "dispatch_backward_ms"]
+        )
         for direction in ("forward", "backward"):
-            assert row[f"{direction}_ratio"] == pytest.approx(row[f"plain_{direction}_ms"] / row[f"{direction}_ms"])
+            assert row[f"{direction}_ratio"] == pytest.approx(
+                row[f"plain_{direction}_ms"] / row[f"{direction}_ms"]
+            )
         assert row["gsplat_forward_ms"] is None
     assert rows[2]["peak_bytes"] > rows[0]["peak_bytes"]
 
@@ -105,20 +110,41 @@ def test_avatar_rows_time_only_what_is_not_cached(brief):
 
 
 def fake_gsplat(scene, calls):
-    """What of gsplat's interface the benchmark uses, for one camera and all Gaussians (packed=False); shapes are checked, not results."""
+    """What of gsplat's interface the benchmark uses, for one camera and all Gaussians (packed=False); shapes
+    are checked, not results."""
     count, size = len(scene.means), scene.camera.width
     tiles = -(-size // TILE)
 
     def rasterization(means, quats, scales, opacities, colors, viewmats, Ks, width, height, *, packed):
-        assert (means.shape, quats.shape, scales.shape, opacities.shape) == ((count, 3), (count, 4), (count, 3), (count,))
+        assert (means.shape, quats.shape, scales.shape, opacities.shape) == (
+            (count, 3),
+            (count, 4),
+            (count, 3),
+            (count,),
+        )
         assert (viewmats.shape, Ks.shape, width, height, packed) == ((1, 4, 4), (1, 3, 3), size, size, False)
         calls.append("rasterization")
         projection = project(means, quats, scales, opacities, scene.camera)
         bins = bin_tiles(projection, opacities, width=width, height=height)
-        lists = {"isect_offsets": bins.tile_offsets[:-1].view(1, tiles, tiles), "flatten_ids": bins.gaussians, "tile_size": TILE}
-        return colors, None, {"means2d": projection.means2d[None], "conics": projection.conics[None], "opacities": opacities[None], **lists}
+        lists = {
+            "isect_offsets": bins.tile_offsets[:-1].view(1, tiles, tiles),
+            "flatten_ids": bins.gaussians,
+            "tile_size": TILE,
+        }
+        return (
+            colors,
+            None,
+            {
+                "means2d": projection.means2d[None],
+                "conics": projection.conics[None],
+                "opacities": opacities[None],
+                **lists,
+            },
+        )
 
-    def rasterize_to_pixels(means2d, conics, colors, opacities, image_width, image_height, tile_size, isect_offsets, flatten_ids):
+    def rasterize_to_pixels(
+        means2d, conics, colors, opacities, image_width, image_height, tile_size, isect_offsets, flatten_ids
+    ):
         assert (means2d.shape, conics.shape, opacities.shape) == ((1, count, 2), (1, count, 3), (1, count))
         assert isect_offsets.shape == (1, tiles, tiles)
         calls.append("rasterize_to_pixels")
@@ -148,7 +174,9 @@ def test_without_gsplat_there_are_no_figures_and_a_broken_one_says_why(device, m
     assert capsys.readouterr().err.startswith("gsplat left out: AttributeError")
 
 
-@pytest.mark.parametrize("error", [AssertionError(), ImportError("no CUDA"), KeyError("means2d"), TypeError("packed")])
+@pytest.mark.parametrize(
+    "error", [AssertionError(), ImportError("no CUDA"), KeyError("means2d"), TypeError("packed")]
+)
 @pytest.mark.parametrize("where", ["import", "call"])
 def test_whatever_gsplat_raises_the_benchmark_goes_on(monkeypatch, capsys, error, where):
     def fail(*_, **__):

@@ -6,14 +6,16 @@ import torch
 from subjects import TESTS
 
 from samira_warp.bench import raster
-from samira_warp.constants import ALPHA_MIN
-from samira_warp.images import read_image
+from samira_warp.io.images import read_image
+from samira_warp.support.constants import ALPHA_MIN
 
 
 @pytest.fixture
 def tool():
     pytest.importorskip("matplotlib")
-    spec = importlib.util.spec_from_file_location("raster_growth", TESTS.parent / "tools" / "raster_growth.py")
+    spec = importlib.util.spec_from_file_location(
+        "raster_growth", TESTS.parent / "tools" / "raster_growth.py"
+    )
     module = importlib.util.module_from_spec(spec)
     sys.modules["raster_growth"] = module
     spec.loader.exec_module(module)
@@ -53,8 +55,12 @@ def test_culled_gaussians_are_behind_beside_and_too_faint(tool):
     assert not culled[bins.gaussians.long()].any()
 
 
-@pytest.mark.parametrize(("out", "named"), [("growth.jpg", ".png"), ("growth", ".png"), ("missing/growth.png", "missing")])
-def test_a_file_that_cannot_be_written_is_refused_before_the_work(tool, tmp_path, monkeypatch, capsys, out, named):
+@pytest.mark.parametrize(
+    ("out", "named"), [("growth.jpg", ".png"), ("growth", ".png"), ("missing/growth.png", "missing")]
+)
+def test_a_file_that_cannot_be_written_is_refused_before_the_work(
+    tool, tmp_path, monkeypatch, capsys, out, named
+):
     monkeypatch.setattr(tool, "_measure", lambda *_: pytest.fail("it measures"))
     arguments = ["--out", str(tmp_path / out), "--device", "cpu"]
     assert tool.run(tool.main, tool.GrowthConfig, program="raster_growth", arguments=arguments) == 2

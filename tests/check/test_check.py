@@ -16,9 +16,9 @@ from samira_warp.check.__main__ import CheckConfig, main
 from samira_warp.check.drawing import CELL, mesh_overlay
 from samira_warp.check.findings import MOST_ALIKE
 from samira_warp.check.views import sampled_views
-from samira_warp.cli import run
 from samira_warp.data import open_sequence
-from samira_warp.images import read_image, write_png
+from samira_warp.io.images import read_image, write_png
+from samira_warp.support.cli import run
 
 
 @pytest.fixture
@@ -76,7 +76,10 @@ def test_what_was_done_about_a_folder_is_said(tmp_path, capsys):
     check("--quick", "--data", root)
     said = capsys.readouterr().out
     assert "format:        IMavatar's flame_params.json\n" in said
-    assert "note:          the dataset has no division of its own: the first 70 % of its timesteps train\n" in said
+    assert (
+        "note:          the dataset has no division of its own: the first 70 % of its timesteps train\n"
+        in said
+    )
 
 
 def test_another_split(tiny_dataset, capsys):
@@ -89,12 +92,18 @@ def test_what_is_absent_is_said(tmp_path, capsys):
         change_json(root / name, lambda d: [entry.pop("fg_mask_path") for entry in d["frames"]])
     shutil.rmtree(root / "albedo")
     said = facts(capsys, "--data", root)
-    assert (said["masks"], said["albedo"], said["static offset"]) == ("0 of 4 frames", "0 of 4 frames", "present")
+    assert (said["masks"], said["albedo"], said["static offset"]) == (
+        "0 of 4 frames",
+        "0 of 4 frames",
+        "present",
+    )
 
 
 def test_a_head_model_from_elsewhere(dataset, tmp_path, capsys):
     (dataset / "template.npz").rename(tmp_path / "flame.npz")
-    assert facts(capsys, "--data", dataset, "--flame", tmp_path / "flame.npz")["template"].startswith(str(tmp_path / "flame.npz"))
+    assert facts(capsys, "--data", dataset, "--flame", tmp_path / "flame.npz")["template"].startswith(
+        str(tmp_path / "flame.npz")
+    )
 
 
 FIRST = "flame_param/00000.npz"
@@ -104,12 +113,24 @@ DAMAGES = {
     "no image": ("images/00001_00.png", os.unlink, "take what names it out of the lists"),
     "an image of another size": ("images/00001_00.png", widen, "bring it to that size"),
     "a mask of another size": ("fg_masks/00001_00.png", widen, "bring it to that size"),
-    "an image that is text": ("images/00001_00.png", lambda path: path.write_text("hello"), "copy or export the picture again"),
+    "an image that is text": (
+        "images/00001_00.png",
+        lambda path: path.write_text("hello"),
+        "copy or export the picture again",
+    ),
     "no key": (FIRST, lambda path: change_arrays(path, expr=None), "track or export this frame again"),
     "another shape": (FIRST, lambda path: change_arrays(path, expr=lambda a: a[:, 1:]), "--flame"),
-    "NaN": (FIRST, lambda path: change_arrays(path, expr=with_value(float("nan"))), "track or export this frame again"),
+    "NaN": (
+        FIRST,
+        lambda path: change_arrays(path, expr=with_value(float("nan"))),
+        "track or export this frame again",
+    ),
     "no template": ("template.npz", os.unlink, "flame.is.tue.mpg.de"),
-    "a broken template": ("template.npz", lambda path: path.write_text("hello"), "get or write the file again"),
+    "a broken template": (
+        "template.npz",
+        lambda path: path.write_text("hello"),
+        "get or write the file again",
+    ),
 }
 
 
@@ -153,7 +174,9 @@ def test_a_list_that_is_missing_hides_nothing_else(dataset, capsys):
 def test_a_film_with_many_faults(tmp_path, capsys):
     root = write_layout("metrical-tracker", make_film_for("metrical-tracker"), tmp_path / "subject")
     np.savez(root / "template.npz", **tiny_template())
-    broken = [root / file for file in ("checkpoint/00001.frame", "checkpoint/00003.frame", "images/00004.png")]
+    broken = [
+        root / file for file in ("checkpoint/00001.frame", "checkpoint/00003.frame", "images/00004.png")
+    ]
     for path in broken:
         path.write_bytes(b"hello")
     lines = faults(capsys, "--data", root)
@@ -194,14 +217,18 @@ def test_the_sheet_shows_the_mesh_on_its_head(dataset, tmp_path, capsys, monkeyp
     (view,) = sampled_views(open_sequence(dataset), [0])
     drawn = mesh_overlay(view, open_sequence(dataset).template.faces, width=32, height=32)[..., 3] > 0.02
     mask = read_image(frame.mask_path, channels=1)[..., 0] > 0.5
-    # the mesh is a sphere's of 20 columns, the mask the sphere's: they differ by less than a pixel along the border of some 60
+    # the mesh is a sphere's of 20 columns, the mask the sphere's: they differ by less than a pixel along the
+    # border of some 60
     assert np.count_nonzero(drawn ^ mask) < 60
 
 
 def test_a_sheet_that_cannot_be(tiny_dataset, tmp_path, capsys):
     for out in (tmp_path / "sheet.jpg", tmp_path / "nowhere" / "sheet.png"):
         assert check("--data", tiny_dataset, "--out", out) == 2
-        assert capsys.readouterr().err == f"error: --out: expected a .png in a folder that is there, found {out}\n"
+        assert (
+            capsys.readouterr().err
+            == f"error: --out: expected a .png in a folder that is there, found {out}\n"
+        )
 
 
 @pytest.mark.parametrize("options", [("--data", "nowhere"), ("--split", "half")])
@@ -225,5 +252,7 @@ def test_the_process_ends_with_one_line_and_status_2(dataset):
     command = [sys.executable, "-m", "samira_warp.check", "--quick", "--data", str(dataset)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 2
-    assert f"fault: {dataset / FIRST}: jaw_pose: expected finite numbers, found 1 that are not; " in done.stdout
+    assert (
+        f"fault: {dataset / FIRST}: jaw_pose: expected finite numbers, found 1 that are not; " in done.stdout
+    )
     assert done.stderr == f"error: {dataset}: expected a dataset to train on, found 1 fault\n"

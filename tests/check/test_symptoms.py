@@ -11,14 +11,16 @@ from data.tiny import N_SHAPE, make_tiny_dataset, tiny_template
 from PIL import Image
 
 from samira_warp.check.report import check_dataset
-from samira_warp.images import read_image, write_png
+from samira_warp.io.images import read_image, write_png
 
 LISTS = ("transforms.json", "transforms_train.json", "transforms_test.json")
 
 
 @pytest.fixture(scope="module")
 def original(tmp_path_factory):
-    return make_tiny_dataset(tmp_path_factory.mktemp("good") / "subject", frames=6, size=64, static_offset=True)
+    return make_tiny_dataset(
+        tmp_path_factory.mktemp("good") / "subject", frames=6, size=64, static_offset=True
+    )
 
 
 @pytest.fixture
@@ -39,11 +41,16 @@ def entries(change):
 
 
 def poses(change):
-    return entries(lambda entry: entry.update(transform_matrix=change(np.array(entry["transform_matrix"])).tolist()))
+    return entries(
+        lambda entry: entry.update(transform_matrix=change(np.array(entry["transform_matrix"])).tolist())
+    )
 
 
 def parameters(**changes):
-    return lambda root: [change_arrays(path, **changes) for path in (*root.glob("flame_param/*"), root / "canonical_flame_param.npz")]
+    return lambda root: [
+        change_arrays(path, **changes)
+        for path in (*root.glob("flame_param/*"), root / "canonical_flame_param.npz")
+    ]
 
 
 def template(**changes):
@@ -51,7 +58,9 @@ def template(**changes):
 
 
 def pictures(folder, change):
-    return lambda root: [write_png(path, change(read_image(path, channels=3))) for path in (root / folder).iterdir()]
+    return lambda root: [
+        write_png(path, change(read_image(path, channels=3))) for path in (root / folder).iterdir()
+    ]
 
 
 def times(factor):
@@ -138,11 +147,16 @@ def test_pictures_turned_after_tracking(dataset):
     poses(lambda m: moved(m, by=[[0], [-0.09], [0], [0]]))(dataset)
     shift = round(0.09 * 2.8 * 64)
     for folder in ("images", "fg_masks", "albedo"):
-        pictures(folder, lambda pixels: np.concatenate([pixels[shift:], np.repeat(pixels[-1:], shift, axis=0)]))(dataset)
+        pictures(
+            folder, lambda pixels: np.concatenate([pixels[shift:], np.repeat(pixels[-1:], shift, axis=0)])
+        )(dataset)
     assert said(dataset) == ()
     upside_down(dataset)
     (finding,) = said(dataset)
-    assert (finding.severity, finding.remedy) == ("fault", "turn the pictures as they were when they were tracked")
+    assert (finding.severity, finding.remedy) == (
+        "fault",
+        "turn the pictures as they were when they were tracked",
+    )
 
 
 def test_without_masks_a_head_far_away_is_a_warning(dataset):
@@ -173,14 +187,18 @@ def test_a_minority_of_bad_masks_is_no_mistake_of_the_dataset(dataset):
 
 @pytest.mark.parametrize("count", [N_SHAPE - 1, N_SHAPE + 1])
 def test_a_head_model_other_than_the_trackers(dataset, count):
-    template(shapedirs=lambda a: np.concatenate([a[..., :1]] * count + [a[..., N_SHAPE:]], axis=2), n_shape=np.int64(count))(dataset)
+    template(
+        shapedirs=lambda a: np.concatenate([a[..., :1]] * count + [a[..., N_SHAPE:]], axis=2),
+        n_shape=np.int64(count),
+    )(dataset)
     (finding,) = said(dataset)
     assert finding.subject.endswith("canonical_flame_param.npz: shape")
     assert "--flame" in finding.remedy
 
 
 def film_of(layout, root, **options):
-    """A film without motion of camera or head beyond what the layout's masks, discs in the middle, allow for."""
+    """A film without motion of camera or head beyond what the layout's masks, discs in the middle, allow
+    for."""
     film = make_film(square_pixels=True, **options)
     film.rotation[:] = film.neck[:] = film.translation[:] = 0
     film.center[:] = np.array([film.width, film.height]) / 2

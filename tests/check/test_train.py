@@ -9,7 +9,7 @@ from data.layouts import FLIP
 from subjects import train_arguments, train_command
 
 from samira_warp.check import open_checked
-from samira_warp.images import read_image, write_png
+from samira_warp.io.images import read_image, write_png
 
 
 @pytest.fixture
@@ -45,7 +45,10 @@ def test_a_head_behind_the_camera_is_not_trained(dataset, capsys):
     for name in ("transforms_train.json", "transforms_test.json"):
         change_json(
             dataset / name,
-            lambda d: [entry.update(transform_matrix=(np.array(entry["transform_matrix"]) @ FLIP).tolist()) for entry in d["frames"]],
+            lambda d: [
+                entry.update(transform_matrix=(np.array(entry["transform_matrix"]) @ FLIP).tolist())
+                for entry in d["frames"]
+            ],
         )
     line = refused(dataset, capsys)
     assert "expected the head before the camera, found it behind in 6 of 6 frames looked at" in line

@@ -1,6 +1,8 @@
-"""The built-in subject as a tracked film: some moments of its performance, and pictures of them by its own ray caster.
+"""The built-in subject as a tracked film: some moments of its performance, and pictures of them by its own
+ray caster.
 
-Every layout can hold this film, turned to what the layout has a place for: the same heads are then seen by the same camera.
+Every layout can hold this film, turned to what the layout has a place for: the same heads are then seen by
+the same camera.
 """
 
 import functools
@@ -10,15 +12,15 @@ import numpy as np
 import torch
 from data.layouts import FLIP, WRITERS, Film, write_layout
 
+from samira_subject.cast import build_cast
+from samira_subject.head import build_head
+from samira_subject.make import Light
+from samira_subject.performance import perform
+from samira_subject.raycaster import Effort
+from samira_subject.sky import CAPTURE
+from samira_subject.studio import Studio, developed, on_white
 from samira_warp.head import FrameParameters, HeadModel, save_template
-from samira_warp.images import write_png
-from samira_warp.subject.cast import build_cast
-from samira_warp.subject.head import build_head
-from samira_warp.subject.make import Light
-from samira_warp.subject.performance import perform
-from samira_warp.subject.raycaster import Effort
-from samira_warp.subject.sky import CAPTURE
-from samira_warp.subject.studio import Studio, developed, on_white
+from samira_warp.io.images import write_png
 
 SIZE = 64
 MOMENTS = (0, 9, 22, 47, 70, 93, 118, 141)
@@ -53,9 +55,14 @@ def built_in_film(seed):
         names=[f"{index:05d}" for index in range(len(rows))],
     )
     sky = Light(CAPTURE).tables
-    taken = [studio.take(studio.pose(parameters_of(film, row).to(dtype=torch.float32)), sky, seed=row) for row in range(len(film))]
+    taken = [
+        studio.take(studio.pose(parameters_of(film, row).to(dtype=torch.float32)), sky, seed=row)
+        for row in range(len(film))
+    ]
     coverage = [picture.coverage.numpy()[..., None] for picture in taken]
-    film.pictures = _bytes([np.dstack([developed(picture), alpha]) for picture, alpha in zip(taken, coverage, strict=True)])
+    film.pictures = _bytes(
+        [np.dstack([developed(picture), alpha]) for picture, alpha in zip(taken, coverage, strict=True)]
+    )
     film.albedo = _bytes([on_white(picture.albedo, picture.coverage) for picture in taken])
     return film
 
@@ -99,17 +106,28 @@ def _motions(film):
     assert not film.neck.any()
     model = HeadModel.build(build_head().template).to(dtype=torch.float64)
     shape = torch.from_numpy(film.shape)
-    return np.stack([model.vertices(parameters_of(film, row), shape).joint_transforms[0].numpy() for row in range(len(film))])
+    return np.stack(
+        [
+            model.vertices(parameters_of(film, row), shape).joint_transforms[0].numpy()
+            for row in range(len(film))
+        ]
+    )
 
 
 def _still(film, motions, *, turned=True):
     """The head's motions given to the camera."""
     rotation = np.zeros_like(film.rotation) if turned else film.rotation
-    return replace(film, rotation=rotation, translation=np.zeros_like(film.translation), world_to_camera=film.world_to_camera @ motions)
+    return replace(
+        film,
+        rotation=rotation,
+        translation=np.zeros_like(film.translation),
+        world_to_camera=film.world_to_camera @ motions,
+    )
 
 
 def write_built_in(folder, film):
-    """A film of the built-in head in every layout, with its template and albedo; the folders by the layouts' names."""
+    """A film of the built-in head in every layout, with its template and albedo; the folders by the layouts'
+    names."""
     roots = {}
     for layout in WRITERS:
         roots[layout] = write_layout(layout, for_layout(layout, film), folder / layout)

@@ -6,7 +6,7 @@ import resource
 
 import numpy as np
 
-from samira_warp.images import read_image, write_png
+from samira_warp.io.images import read_image, write_png
 
 
 def change_json(path, change):
@@ -28,7 +28,8 @@ def change_arrays(path, **changes):
 
 
 def cut(path, *, end=6):
-    """Take an image's end away: six bytes are half of the last chunk, which a look at the header does not see."""
+    """Take an image's end away: six bytes are half of the last chunk, which a look at the header does not
+    see."""
     path.write_bytes(path.read_bytes()[:-end])
 
 

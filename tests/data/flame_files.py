@@ -1,4 +1,5 @@
-"""FLAME's files in their exact layout with made-up content: none of the real ones can be had without a licence."""
+"""FLAME's files in their exact layout with made-up content: none of the real ones can be had without a
+licence."""
 
 import pickle
 import sys
@@ -19,7 +20,8 @@ MASK_SIZES = {
 
 
 def flame_arrays(seed=0):
-    """FLAME's keys: points on an ellipsoid as large as a head, with the lips where a mouth is and small smooth shapes."""
+    """FLAME's keys: points on an ellipsoid as large as a head, with the lips where a mouth is and small
+    smooth shapes."""
     rng = np.random.default_rng(seed)
     directions = rng.normal(size=(FLAME_VERTICES, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -27,10 +29,16 @@ def flame_arrays(seed=0):
     across = np.linspace(0.025, -0.025, len(UPPER_LIP))
     for ring, height in ((UPPER_LIP, -0.035), (LOWER_LIP, -0.043)):
         vertices[list(ring)] = np.stack([across, np.full(len(ring), height), 0.085 - 10 * across**2], axis=1)
-    shapes = 0.002 * rng.normal(size=(3, 3, FLAME_IDENTITY + N_EXPRESSION)) * 0.98 ** np.arange(FLAME_IDENTITY + N_EXPRESSION)
+    shapes = (
+        0.002
+        * rng.normal(size=(3, 3, FLAME_IDENTITY + N_EXPRESSION))
+        * 0.98 ** np.arange(FLAME_IDENTITY + N_EXPRESSION)
+    )
     weights = rng.random((FLAME_VERTICES, 5)) ** 4
     regressor = np.zeros((5, FLAME_VERTICES))
-    for joint, centre in enumerate(((0, -0.1, 0), (0, -0.07, 0), (0, -0.03, 0.03), (0.03, 0.02, 0.06), (-0.03, 0.02, 0.06))):
+    for joint, centre in enumerate(
+        ((0, -0.1, 0), (0, -0.07, 0), (0, -0.03, 0.03), (0.03, 0.02, 0.06), (-0.03, 0.02, 0.06))
+    ):
         near = np.argsort(np.linalg.norm(vertices - centre, axis=1))[:20]
         regressor[joint, near] = 1 / 20
     return {
@@ -68,8 +76,13 @@ _Chumpy.__module__, _Chumpy.__qualname__ = "chumpy.ch", "Ch"
 
 
 def pickle_flame(path, arrays, *, protocol=2):
-    """Write a FLAME pickle whose shapes and template are chumpy's, as FLAME 2020's are, with names as a numpy of that time gave them."""
-    content = {**arrays, "shapedirs": _Chumpy(arrays["shapedirs"]), "v_template": _Chumpy(arrays["v_template"])}
+    """Write a FLAME pickle whose shapes and template are chumpy's, as FLAME 2020's are, with names as a numpy
+    of that time gave them."""
+    content = {
+        **arrays,
+        "shapedirs": _Chumpy(arrays["shapedirs"]),
+        "v_template": _Chumpy(arrays["v_template"]),
+    }
     modules = {name: types.ModuleType(name) for name in ("chumpy", "chumpy.ch")}
     modules["chumpy.ch"].Ch = _Chumpy
     before = {name: sys.modules.get(name) for name in modules}
@@ -82,7 +95,10 @@ def pickle_flame(path, arrays, *, protocol=2):
                 del sys.modules[name]
             else:
                 sys.modules[name] = module
-    old = {b"cnumpy._core.multiarray\n": b"cnumpy.core.multiarray\n", b"cscipy.sparse._csc\n": b"cscipy.sparse.csc\n"}
+    old = {
+        b"cnumpy._core.multiarray\n": b"cnumpy.core.multiarray\n",
+        b"cscipy.sparse._csc\n": b"cscipy.sparse.csc\n",
+    }
     for ours, theirs in old.items():
         written = written.replace(ours, theirs)
     path.write_bytes(written)
@@ -101,7 +117,10 @@ def write_companions(folder, *, eyelids=False, uvs="flame_uv.npz"):
         faces = flame_arrays()["f"]
         lines = [f"v {x:.9g} {y:.9g} {z:.9g}" for x, y, z in flame_arrays()["v_template"]]
         lines += [f"vt {u:.9g} {v:.9g}" for u, v in vt]
-        lines += [" ".join(["f", *(f"{a + 1}/{b + 1}" for a, b in zip(face, uv, strict=True))]) for face, uv in zip(faces, ft, strict=True)]
+        lines += [
+            " ".join(["f", *(f"{a + 1}/{b + 1}" for a, b in zip(face, uv, strict=True))])
+            for face, uv in zip(faces, ft, strict=True)
+        ]
         (folder / uvs).write_text("\n".join(["# a comment", *lines]))
     if eyelids:
         for seed, name in ((5, "l_eyelid.npy"), (6, "r_eyelid.npy")):

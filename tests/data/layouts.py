@@ -1,6 +1,8 @@
-"""The layouts in which other projects keep a tracked film, written from any subject: what their own tools would have written.
+"""The layouts in which other projects keep a tracked film, written from any subject: what their own tools
+would have written.
 
-Each writer takes a `Film` in metres with OpenCV axes and a folder, and gives the options with which the folder is opened.
+Each writer takes a `Film` in metres with OpenCV axes and a folder, and gives the options with which the
+folder is opened.
 """
 
 import json
@@ -35,7 +37,9 @@ class Film:
     eyelids: np.ndarray | None = None
     static_offset: np.ndarray | None = None
     names: list = field(default_factory=list)
-    pictures: np.ndarray | None = None  # (T, height, width, 4) uint8 on white, with coverage; None draws discs
+    pictures: np.ndarray | None = (
+        None  # (T, height, width, 4) uint8 on white, with coverage; None draws discs
+    )
     albedo: np.ndarray | None = None  # (T, height, width, 3) uint8
 
     def __len__(self):
@@ -43,15 +47,27 @@ class Film:
 
 
 def make_film(
-    *, frames=6, n_shape=2, n_expression=4, width=40, height=32, seed=0, moving_camera=False, still_head=False, square_pixels=False
+    *,
+    frames=6,
+    n_shape=2,
+    n_expression=4,
+    width=40,
+    height=32,
+    seed=0,
+    moving_camera=False,
+    still_head=False,
+    square_pixels=False,
 ):
-    """A head that turns, speaks and looks about before a camera at one metre, which moves as well if asked for."""
+    """A head that turns, speaks and looks about before a camera at one metre, which moves as well if asked
+    for."""
     rng = np.random.default_rng(seed)
     focal = 2.8 * width * (1 + 0.05 * rng.random((frames, 2)) * (not square_pixels))
     poses = np.tile(FLIP, (frames, 1, 1))
     poses[:, :3, 3] = [0.0, 0.0, 1.0]
     if moving_camera:
-        poses[:, :3, :3] = (Rotation.from_rotvec(0.3 * rng.normal(size=(frames, 3))) * Rotation.from_matrix(FLIP[:3, :3])).as_matrix()
+        poses[:, :3, :3] = (
+            Rotation.from_rotvec(0.3 * rng.normal(size=(frames, 3))) * Rotation.from_matrix(FLIP[:3, :3])
+        ).as_matrix()
         poses[:, :3, 3] += 0.03 * rng.normal(size=(frames, 3))
     moves = 0.0 if still_head else 1.0
     return Film(
@@ -82,7 +98,8 @@ def fixed_intrinsics(film, *, centred=False):
 
 
 def picture(film, row, *, alpha=False):
-    """The film's own, or pixels that tell the frame by their colour: a disc on a grey scene, whose coverage is a soft ramp."""
+    """The film's own, or pixels that tell the frame by their colour: a disc on a grey scene, whose coverage
+    is a soft ramp."""
     if film.pictures is not None:
         rgb, coverage = film.pictures[row, :, :, :3], film.pictures[row, :, :, 3]
         return (np.dstack([_off_white(rgb, coverage), coverage]) if alpha else rgb), coverage
@@ -112,7 +129,9 @@ def write_pictures(film, folder, *, suffix=".png", masks=None, mask_suffix=".png
         exact = {"quality": 95, "subsampling": 0} if suffix.lower() in (".jpg", ".jpeg") else {}
         Image.fromarray(rgb).save(folder / f"{name}{suffix}", **exact)
         if masks is not None:
-            Image.fromarray(coverage).save(masks / f"{name}{mask_suffix}", **({"quality": 95} if mask_suffix == ".jpg" else {}))
+            Image.fromarray(coverage).save(
+                masks / f"{name}{mask_suffix}", **({"quality": 95} if mask_suffix == ".jpg" else {})
+            )
 
 
 def write_vhap_tracked(film, root, *, suffix=".jpg", epoch=30, named=True):
@@ -127,12 +146,16 @@ def write_vhap_tracked(film, root, *, suffix=".jpg", epoch=30, named=True):
         arrays["timestep_id"] = np.array(film.names)
     if film.static_offset is not None:
         arrays["static_offset"] = film.static_offset[None]
-    floats = {key: np.asarray(value, np.float32) if np.asarray(value).dtype.kind == "f" else value for key, value in arrays.items()}
+    floats = {
+        key: np.asarray(value, np.float32) if np.asarray(value).dtype.kind == "f" else value
+        for key, value in arrays.items()
+    }
     np.savez(root / f"tracked_flame_params_{epoch}.npz", **floats)
 
 
 def write_metrical_tracker(film, root, *, folder="images", suffix=".png", transforms=False):
-    """Checkpoints of every frame: the head stands still, and turns are the first two rows of their matrices."""
+    """Checkpoints of every frame: the head stands still, and turns are the first two rows of their
+    matrices."""
     assert not film.rotation.any()
     assert not film.neck.any()
     assert not film.translation.any()
@@ -156,16 +179,31 @@ def write_metrical_tracker(film, root, *, folder="images", suffix=".png", transf
         }
         pose = film.world_to_camera[row].astype(np.float32)
         opencv = {"R": pose[None, :3, :3], "t": pose[None, :3, 3], "K": matrix[None].astype(np.float32)}
-        camera = {"R": np.zeros((1, 6), np.float32), "t": np.zeros((1, 3), np.float32), "fl": np.ones((1, 1)), "pp": np.zeros((1, 2))}
+        camera = {
+            "R": np.zeros((1, 6), np.float32),
+            "t": np.zeros((1, 3), np.float32),
+            "fl": np.ones((1, 1)),
+            "pp": np.zeros((1, 2)),
+        }
         payload = {
             "flame": flame, "camera": camera, "opencv": opencv, "img_size": np.array([film.height, film.width]), "frame_id": name,
             "global_step": 100 * row,
         }  # fmt: skip
         torch.save(payload, root / "checkpoint" / f"{name}.frame")
     if transforms:
-        entries = [{"file_path": f"{folder}/{name}.png", "transform_matrix": np.eye(4).tolist()} for name in film.names]
-        for part, frames in (("", entries), ("_train", entries[:-2]), ("_test", entries[-2:]), ("_val", entries[-1:])):
-            (root / f"transforms{part}.json").write_text(json.dumps({"w": film.width, "h": film.height, "frames": frames}))
+        entries = [
+            {"file_path": f"{folder}/{name}.png", "transform_matrix": np.eye(4).tolist()}
+            for name in film.names
+        ]
+        for part, frames in (
+            ("", entries),
+            ("_train", entries[:-2]),
+            ("_test", entries[-2:]),
+            ("_val", entries[-1:]),
+        ):
+            (root / f"transforms{part}.json").write_text(
+                json.dumps({"w": film.width, "h": film.height, "frames": frames})
+            )
 
 
 def write_hravatar(film, root, *, version=1, folder="image", suffix=".png", keys="name"):
@@ -174,7 +212,10 @@ def write_hravatar(film, root, *, version=1, folder="image", suffix=".png", keys
     scale = {1: 4.0, 2: 1.0}[version]
     document = {
         "shapecode": [film.shape.tolist()],
-        "intrinsics": [*(film.focal[0] / [film.width, film.height]).tolist(), *(film.center[0] / [film.width, film.height]).tolist()],
+        "intrinsics": [
+            *(film.focal[0] / [film.width, film.height]).tolist(),
+            *(film.center[0] / [film.width, film.height]).tolist(),
+        ],
     }
     for row, name in enumerate(film.names):
         pose = FLIP @ film.world_to_camera[row]
@@ -187,11 +228,14 @@ def write_hravatar(film, root, *, version=1, folder="image", suffix=".png", keys
         if film.eyelids is not None:
             entry["eyelids"] = [film.eyelids[row].tolist()]
         document[name if keys == "name" else f"{name}{suffix}"] = entry
-    (root / {1: "tracked_params.json", 2: "tracked_params_v2.json"}[version]).write_text(json.dumps(document, ensure_ascii=False))
+    (root / {1: "tracked_params.json", 2: "tracked_params_v2.json"}[version]).write_text(
+        json.dumps(document, ensure_ascii=False)
+    )
 
 
 def write_imavatar(film, root, *, suffix=".png", old=False):
-    """flame_params.json: four times as large, looking along -z, fx negative; early ones in pixels of a picture of 512."""
+    """flame_params.json: four times as large, looking along -z, fx negative; early ones in pixels of a
+    picture of 512."""
     assert not film.translation.any()
     write_pictures(film, root / "image", suffix=suffix, masks=root / "mask")
     size = np.array([film.width, film.height]) / (512.0 if old else 1.0)
@@ -205,7 +249,11 @@ def write_imavatar(film, root, *, suffix=".png", old=False):
              "bbox": [-0.5, -0.5, 0.5, 0.5], "flame_keypoints": [[0.0, 0.0]] * 70}
         )  # fmt: skip
     focal, center = film.focal[0] / size, film.center[0] / size
-    document = {"intrinsics": [-focal[0], focal[1], *center], "shape_params": film.shape.tolist(), "frames": frames}
+    document = {
+        "intrinsics": [-focal[0], focal[1], *center],
+        "shape_params": film.shape.tolist(),
+        "frames": frames,
+    }
     (root / "flame_params.json").write_text(json.dumps(document, ensure_ascii=False))
 
 
@@ -228,7 +276,9 @@ def write_vhap_export(film, root, *, suffix=".png"):
     np.savez(root / "canonical_flame_param.npz", **zero, **shared)
     entries = []
     for row, name in enumerate(film.names):
-        values = {key: getattr(film, of_film)[row : row + 1].astype(np.float32) for key, of_film in names.items()}
+        values = {
+            key: getattr(film, of_film)[row : row + 1].astype(np.float32) for key, of_film in names.items()
+        }
         np.savez(root / "flame_param" / f"{name}.npz", **values, **shared)
         pose = np.linalg.inv(film.world_to_camera[row]) @ FLIP
         entries.append(
@@ -238,7 +288,12 @@ def write_vhap_export(film, root, *, suffix=".png"):
              "camera_angle_x": 2 * math.atan(film.width / (2 * film.focal[row, 0]))}
         )  # fmt: skip
     first_test = math.floor(0.7 * len(film))
-    for part, frames in (("", entries), ("_train", entries[:first_test]), ("_test", entries[first_test:]), ("_val", [])):
+    for part, frames in (
+        ("", entries),
+        ("_train", entries[:first_test]),
+        ("_test", entries[first_test:]),
+        ("_val", []),
+    ):
         (root / f"transforms{part}.json").write_text(json.dumps({"frames": frames}, ensure_ascii=False))
 
 
@@ -246,7 +301,17 @@ def take(film, rows):
     """The film's frames in another order, with their names."""
     arrays = {
         name: getattr(film, name)[rows]
-        for name in ("expression", "rotation", "neck", "jaw", "eyes", "translation", "world_to_camera", "focal", "center")
+        for name in (
+            "expression",
+            "rotation",
+            "neck",
+            "jaw",
+            "eyes",
+            "translation",
+            "world_to_camera",
+            "focal",
+            "center",
+        )
     }
     some = {name: getattr(film, name) for name in ("eyelids", "pictures", "albedo")}
     arrays |= {name: None if values is None else values[rows] for name, values in some.items()}
@@ -265,7 +330,8 @@ WRITERS = {
 
 
 def make_film_for(layout, **options):
-    """A film that a layout can hold: with what the layout keeps per frame, and without what it has no place for."""
+    """A film that a layout can hold: with what the layout keeps per frame, and without what it has no place
+    for."""
     if layout == "VHAP export":
         return make_film(moving_camera=True, **options)
     if layout == "VHAP tracked":

@@ -1,4 +1,5 @@
-"""What a tracker's folder can have wrong: found on opening, and named with its file, what was expected and what was found."""
+"""What a tracker's folder can have wrong: found on opening, and named with its file, what was expected and
+what was found."""
 
 import os
 import pickle
@@ -14,7 +15,7 @@ from data.tiny import tiny_template
 from PIL import Image
 
 from samira_warp.data import open_listing, open_sequence
-from samira_warp.errors import UserError
+from samira_warp.support.errors import UserError
 
 
 @pytest.fixture(scope="module")
@@ -85,9 +86,21 @@ FAULTS = {
         arrays(neck_pose=lambda a: a[:-1]),
         "neck_pose: expected numbers of shape (6, 3), found float32 of shape (5, 3)",
     ),
-    ("VHAP tracked", "NaN"): (NPZ, arrays(expr=with_value(np.nan)), "expr: expected finite numbers, found 1 that are not"),
-    ("VHAP tracked", "no shape"): (NPZ, arrays(shape=None), "shape: expected a vector of numbers, found none"),
-    ("VHAP tracked", "too few pictures"): (NPZ, longer, "expected 9 pictures, one a tracked timestep, found 6"),
+    ("VHAP tracked", "NaN"): (
+        NPZ,
+        arrays(expr=with_value(np.nan)),
+        "expr: expected finite numbers, found 1 that are not",
+    ),
+    ("VHAP tracked", "no shape"): (
+        NPZ,
+        arrays(shape=None),
+        "shape: expected a vector of numbers, found none",
+    ),
+    ("VHAP tracked", "too few pictures"): (
+        NPZ,
+        longer,
+        "expected 9 pictures, one a tracked timestep, found 6",
+    ),
     ("VHAP tracked", "no archive"): (NPZ, lambda path: path.write_bytes(b"hello"), ".npz of plain arrays"),
     ("VHAP tracked", "an offset of another head"): (
         NPZ,
@@ -109,7 +122,11 @@ FAULTS = {
         lambda path: torch.save({"flame": Calls()}, path),
         "found the name posix.system, which is not loaded",
     ),
-    ("metrical-tracker", "a pickle"): (FRAME, lambda path: path.write_bytes(pickle.dumps({})), "expected an archive of torch.save"),
+    ("metrical-tracker", "a pickle"): (
+        FRAME,
+        lambda path: path.write_bytes(pickle.dumps({})),
+        "expected an archive of torch.save",
+    ),
     ("metrical-tracker", "no flame"): (FRAME, payload("flame"), "expected the key flame, found none"),
     ("metrical-tracker", "no expression"): (FRAME, payload("flame", "exp"), "expected the key exp"),
     ("metrical-tracker", "a short jaw"): (
@@ -128,7 +145,11 @@ FAULTS = {
         payload("opencv", "t", value=np.full((1, 3), np.nan)),
         "opencv.t: expected finite numbers, found 3",
     ),
-    ("metrical-tracker", "a mirrored camera"): (FRAME, payload("opencv", "R", value=mirrored()), "opencv.R: expected a rotation"),
+    ("metrical-tracker", "a mirrored camera"): (
+        FRAME,
+        payload("opencv", "R", value=mirrored()),
+        "opencv.R: expected a rotation",
+    ),
     ("metrical-tracker", "no focal length"): (
         FRAME,
         payload("opencv", "K", value=np.zeros((1, 3, 3))),
@@ -150,7 +171,11 @@ FAULTS = {
         "expected an entry with fullposecode for each picture, found 0 others",
     ),
     ("HRAvatar v1", "no JSON"): (TRACKED, lambda path: path.write_text("{"), "a JSON file"),
-    ("HRAvatar v1", "no shape"): (TRACKED, document(lambda d: d.pop("shapecode")), "shapecode: expected a vector of numbers, found none"),
+    ("HRAvatar v1", "no shape"): (
+        TRACKED,
+        document(lambda d: d.pop("shapecode")),
+        "shapecode: expected a vector of numbers, found none",
+    ),
     ("HRAvatar v1", "no intrinsics"): (
         TRACKED,
         document(lambda d: d.pop("intrinsics")),
@@ -176,7 +201,11 @@ FAULTS = {
         document(lambda d: d[ENTRY].update(expcode="smile")),
         "00002: expcode: expected a vector of numbers",
     ),
-    ("HRAvatar v1", "a ragged list"): (TRACKED, document(lambda d: d[ENTRY].update(expcode=[[1], [1, 2]])), "found rows of unequal length"),
+    ("HRAvatar v1", "a ragged list"): (
+        TRACKED,
+        document(lambda d: d[ENTRY].update(expcode=[[1], [1, 2]])),
+        "found rows of unequal length",
+    ),
     ("HRAvatar v1", "fewer expressions"): (
         TRACKED,
         document(lambda d: d[ENTRY].update(expcode=[[1.0] * 3])),
@@ -187,7 +216,11 @@ FAULTS = {
         document(lambda d: d[ENTRY].update(translation=[[float("inf"), 0, 0]])),
         "translation: expected finite numbers",
     ),
-    ("IMavatar", "no frames"): (FLAME, document(lambda d: d.pop("frames")), "expected a list 'frames' of tracked frames, found none"),
+    ("IMavatar", "no frames"): (
+        FLAME,
+        document(lambda d: d.pop("frames")),
+        "expected a list 'frames' of tracked frames, found none",
+    ),
     ("IMavatar", "a frame that is a name"): (
         FLAME,
         document(lambda d: d["frames"].insert(2, "1")),
@@ -228,7 +261,11 @@ def test_a_fault_is_named(originals, tmp_path, layout, name):
     damage(root / file)
     message = refused(root)
     assert said in message
-    assert (str(root / file) if name != "fewer expressions" or layout == "HRAvatar v1" else str(root / Path(file).parent)) in message
+    assert (
+        str(root / file)
+        if name != "fewer expressions" or layout == "HRAvatar v1"
+        else str(root / Path(file).parent)
+    ) in message
 
 
 @pytest.mark.parametrize("layout", ["VHAP tracked", "metrical-tracker", "HRAvatar v1", "IMavatar"])
@@ -242,7 +279,9 @@ def test_faults_of_pictures(originals, tmp_path, layout):
     picture.write_bytes(whole)
     double = picture.with_suffix(".webp")
     Image.open(picture).save(double)
-    assert f"expected one picture of a name, found {min(picture, double).name} as well" in refused(root, open_listing)
+    assert f"expected one picture of a name, found {min(picture, double).name} as well" in refused(
+        root, open_listing
+    )
     double.unlink()
     (root / "fg_masks").mkdir(exist_ok=True)
     masks = next(root / name for name in ("mask", "alpha_maps", "fg_masks") if (root / name).is_dir())
@@ -254,7 +293,10 @@ def test_faults_of_pictures(originals, tmp_path, layout):
     for other in folder.iterdir():
         other.rename(other.with_stem(f"other {other.stem}"))
     if layout != "VHAP tracked":  # whose pictures may have names of their own
-        assert "expected pictures named as the tracked frames, found none of 6; the first tracked frame is '00000'" in refused(root)
+        assert (
+            "expected pictures named as the tracked frames, found none of 6; the first tracked frame is '00000'"
+            in refused(root)
+        )
     shutil.rmtree(folder)
     assert "pictures" in refused(root)
 
@@ -269,7 +311,9 @@ def test_instas_lists_must_name_what_is_there(originals, tmp_path):
     root = shutil.copytree(originals / "metrical-tracker", tmp_path / "subject")
     for part in ("train", "test"):
         (root / f"transforms_{part}.json").write_text('{"frames": [{"file_path": "images/999.png"}]}')
-    assert f"{root}: expected frames that train and frames that test, found 0 of 0 that train" in refused(root)
+    assert f"{root}: expected frames that train and frames that test, found 0 of 0 that train" in refused(
+        root
+    )
     (root / "transforms_test.json").write_text('{"frames": [{"file_path": 3}]}')
     assert "transforms_test.json: expected a list 'frames' of objects with a file_path" in refused(root)
     (root / "transforms_test.json").write_text('{"frames": [{"file_path": "images/00001.png"}]}')

@@ -1,4 +1,5 @@
-"""What a dataset can have wrong, one by one: found on opening, and named with what was expected and what was found."""
+"""What a dataset can have wrong, one by one: found on opening, and named with what was expected and what was
+found."""
 
 import json
 import os
@@ -9,8 +10,8 @@ import pytest
 from data.damage import change_arrays, change_json, cut, widen, with_value
 
 from samira_warp.data import open_listing, open_sequence
-from samira_warp.errors import UserError
-from samira_warp.images import write_png
+from samira_warp.io.images import write_png
+from samira_warp.support.errors import UserError
 
 
 @pytest.fixture
@@ -90,14 +91,22 @@ LISTS = {
     "frames that are no list": (LIST, document(lambda d: d.update(frames={})), "'frames'"),
     "an empty training split": (LIST, document(lambda d: d["frames"].clear()), "at least one frame"),
     "an empty test split": (TEST, document(lambda d: d["frames"].clear()), "at least one frame"),
-    "a frame that is no object": (LIST, document(lambda d: d["frames"].insert(1, "00001_00.png")), f"{PLACE}, found str"),
+    "a frame that is no object": (
+        LIST,
+        document(lambda d: d["frames"].insert(1, "00001_00.png")),
+        f"{PLACE}, found str",
+    ),
     "no file_path": (LIST, missing("file_path"), f"{PLACE}: expected the key file_path"),
     "no flame_param_path": (LIST, missing("flame_param_path"), f"{PLACE}: expected the key flame_param_path"),
     "no timestep_index": (LIST, missing("timestep_index"), f"{PLACE}: expected the key timestep_index"),
     "no transform_matrix": (LIST, missing("transform_matrix"), f"{PLACE}: expected the key transform_matrix"),
     "no w": (LIST, missing("w"), f"{PLACE}: expected the key w"),
     "no h": (LIST, missing("h"), f"{PLACE}: expected the key h"),
-    "neither focal length nor field of view": (LIST, missing("fl_x", "fl_y", "camera_angle_x"), "the key camera_angle_x"),
+    "neither focal length nor field of view": (
+        LIST,
+        missing("fl_x", "fl_y", "camera_angle_x"),
+        "the key camera_angle_x",
+    ),
     "a path that is none": (LIST, entry(file_path=3), "file_path to be a path, found 3"),
     "a null path": (LIST, entry(flame_param_path=None), "flame_param_path to be a path, found None"),
     "a timestep in words": (LIST, entry(timestep_index="1"), "timestep_index to be a"),
@@ -116,7 +125,11 @@ LISTS = {
     "a ragged matrix": (LIST, entry(transform_matrix=[[1.0], [1.0, 2.0]]), "4 x 4 matrix"),
     "a matrix in words": (LIST, entry(transform_matrix="identity"), "4 x 4 matrix"),
     "a null matrix": (LIST, entry(transform_matrix=None), "4 x 4 matrix"),
-    "NaN in a matrix": (LIST, entry(transform_matrix=matrix_with(float("nan"))), "finite numbers in transform_matrix"),
+    "NaN in a matrix": (
+        LIST,
+        entry(transform_matrix=matrix_with(float("nan"))),
+        "finite numbers in transform_matrix",
+    ),
     "a skewed camera": (LIST, entry(transform_matrix=skewed()), "transform_matrix: expected a rotation"),
     "a scaled camera": (LIST, entry(transform_matrix=scaled()), "transform_matrix: expected a rotation"),
     "a mirrored camera": (LIST, entry(transform_matrix=mirrored()), "transform_matrix: expected a rotation"),
@@ -125,11 +138,23 @@ FIELD_OF_VIEW = {"zero": 0.0, "a half turn": 3.1416, "NaN": float("nan"), "words
 PICTURES = {
     "no image": ("images/00001_00.png", os.unlink, "file_path of frames[1], found no such file"),
     "no mask": ("fg_masks/00001_00.png", os.unlink, "fg_mask_path of frames[1], found no such file"),
-    "a wider image": ("images/00001_00.png", widen, "32 x 32 pixels as transforms_train.json says, found 64 x 32"),
+    "a wider image": (
+        "images/00001_00.png",
+        widen,
+        "32 x 32 pixels as transforms_train.json says, found 64 x 32",
+    ),
     "a wider mask": ("fg_masks/00001_00.png", widen, "found 64 x 32"),
     "a wider albedo": ("albedo/00001_00.png", widen, "found 64 x 32"),
-    "a wider test image": ("images/00005_00.png", widen, "32 x 32 pixels as transforms_test.json says, found 64 x 32"),
-    "a flat mask": ("fg_masks/00002_00.png", lambda path: write_png(path, np.ones((16, 24))), "found 24 x 16"),
+    "a wider test image": (
+        "images/00005_00.png",
+        widen,
+        "32 x 32 pixels as transforms_test.json says, found 64 x 32",
+    ),
+    "a flat mask": (
+        "fg_masks/00002_00.png",
+        lambda path: write_png(path, np.ones((16, 24))),
+        "found 24 x 16",
+    ),
     "an empty image": ("images/00001_00.png", lambda path: path.write_bytes(b""), "PNG"),
     "an image that is text": ("images/00001_00.png", text("hello"), "PNG"),
     "a mask that is text": ("fg_masks/00001_00.png", text("hello"), "PNG"),
@@ -137,39 +162,118 @@ PICTURES = {
     "an image cut off in its pixels": ("images/00001_00.png", lambda path: cut(path, end=40), "whole PNG"),
 }
 FIRST, CANONICAL, TEMPLATE = "flame_param/00000.npz", "canonical_flame_param.npz", "template.npz"
-SHAPES = {"translation": 3, "rotation": 3, "neck_pose": 3, "jaw_pose": 3, "eyes_pose": 6, "expr": 4, "shape": 2}
+SHAPES = {
+    "translation": 3,
+    "rotation": 3,
+    "neck_pose": 3,
+    "jaw_pose": 3,
+    "eyes_pose": 6,
+    "expr": 4,
+    "shape": 2,
+}
 PARAMETERS = {
     "no parameters": (FIRST, os.unlink, "flame_param_path of frames[0], found no such file"),
     "parameters that are no archive": (FIRST, lambda path: path.write_bytes(b"zip?"), ".npz of plain arrays"),
     "empty parameters": (FIRST, lambda path: path.write_bytes(b""), ".npz of plain arrays"),
     "parameters cut off": (FIRST, lambda path: cut(path, end=100), ".npz of plain arrays"),
-    "pickled parameters": (FIRST, arrays(expr=lambda a: np.array([{"expr": a}], dtype=object)), ".npz of plain arrays"),
-    "one array where an archive should be": (FIRST, lambda path: np.save(path.open("wb"), np.zeros(3)), ".npz of plain arrays"),
+    "pickled parameters": (
+        FIRST,
+        arrays(expr=lambda a: np.array([{"expr": a}], dtype=object)),
+        ".npz of plain arrays",
+    ),
+    "one array where an archive should be": (
+        FIRST,
+        lambda path: np.save(path.open("wb"), np.zeros(3)),
+        ".npz of plain arrays",
+    ),
     "an empty archive": (FIRST, lambda path: np.savez(path), "an empty archive"),
-    "another identity": (FIRST, arrays(shape=lambda a: a + 1), f"shape: expected the identity of {CANONICAL}"),
-    "an offset of another count": (FIRST, arrays(static_offset=np.zeros((1, 7, 3), np.float32)), "found float32 of shape (1, 7, 3)"),
-    "an offset of another rank": (FIRST, arrays(dynamic_offset=np.zeros((7, 3), np.float32)), "found float32 of shape (7, 3)"),
-    "infinity in the parameters": (FIRST, arrays(translation=with_value(np.inf)), "translation: expected finite numbers, found 1"),
-    "words for numbers": (FIRST, arrays(expr=lambda a: a.astype(str)), "expr: expected numbers of shape (1, 4)"),
-    "complex numbers": (FIRST, arrays(expr=lambda a: a.astype(np.complex64)), "expr: expected numbers of shape (1, 4)"),
+    "another identity": (
+        FIRST,
+        arrays(shape=lambda a: a + 1),
+        f"shape: expected the identity of {CANONICAL}",
+    ),
+    "an offset of another count": (
+        FIRST,
+        arrays(static_offset=np.zeros((1, 7, 3), np.float32)),
+        "found float32 of shape (1, 7, 3)",
+    ),
+    "an offset of another rank": (
+        FIRST,
+        arrays(dynamic_offset=np.zeros((7, 3), np.float32)),
+        "found float32 of shape (7, 3)",
+    ),
+    "infinity in the parameters": (
+        FIRST,
+        arrays(translation=with_value(np.inf)),
+        "translation: expected finite numbers, found 1",
+    ),
+    "words for numbers": (
+        FIRST,
+        arrays(expr=lambda a: a.astype(str)),
+        "expr: expected numbers of shape (1, 4)",
+    ),
+    "complex numbers": (
+        FIRST,
+        arrays(expr=lambda a: a.astype(np.complex64)),
+        "expr: expected numbers of shape (1, 4)",
+    ),
     "no canonical parameters": (CANONICAL, os.unlink, "no such file"),
     "no shape in the canonical parameters": (CANONICAL, arrays(shape=None), "the key shape"),
-    "NaN in the canonical parameters": (CANONICAL, arrays(jaw_pose=with_value(np.nan)), "jaw_pose: expected finite numbers"),
+    "NaN in the canonical parameters": (
+        CANONICAL,
+        arrays(jaw_pose=with_value(np.nan)),
+        "jaw_pose: expected finite numbers",
+    ),
 }
 for _key, _size in SHAPES.items():
     PARAMETERS[f"no {_key}"] = (FIRST, arrays(**{_key: None}), f"the key {_key}")
-    PARAMETERS[f"too short a {_key}"] = (FIRST, arrays(**{_key: lambda a: a[..., :-1]}), f"{_key}: expected numbers of shape")
-    PARAMETERS[f"NaN in {_key}"] = (FIRST, arrays(**{_key: with_value(np.nan)}), f"{_key}: expected finite numbers, found 1")
+    PARAMETERS[f"too short a {_key}"] = (
+        FIRST,
+        arrays(**{_key: lambda a: a[..., :-1]}),
+        f"{_key}: expected numbers of shape",
+    )
+    PARAMETERS[f"NaN in {_key}"] = (
+        FIRST,
+        arrays(**{_key: with_value(np.nan)}),
+        f"{_key}: expected finite numbers, found 1",
+    )
 TEMPLATES = {
     "a template that is no archive": (TEMPLATE, text("hello"), "npz"),
-    "a template of other vertices": (TEMPLATE, arrays(v_template=lambda a: a[:-1]), "shapedirs: expected shape"),
-    "NaN in the template": (TEMPLATE, arrays(v_template=with_value(np.nan)), "v_template: expected finite numbers"),
+    "a template of other vertices": (
+        TEMPLATE,
+        arrays(v_template=lambda a: a[:-1]),
+        "shapedirs: expected shape",
+    ),
+    "NaN in the template": (
+        TEMPLATE,
+        arrays(v_template=with_value(np.nan)),
+        "v_template: expected finite numbers",
+    ),
     "faces beyond the vertices": (TEMPLATE, arrays(f=lambda a: a + 1000), "f: expected integers"),
-    "a mask beyond the vertices": (TEMPLATE, arrays(mask_face=lambda a: a + 1000), "mask_face: expected integers"),
-    "weights that do not sum to 1": (TEMPLATE, arrays(weights=lambda a: 2 * a), "weights: expected rows that sum to 1"),
+    "a mask beyond the vertices": (
+        TEMPLATE,
+        arrays(mask_face=lambda a: a + 1000),
+        "mask_face: expected integers",
+    ),
+    "weights that do not sum to 1": (
+        TEMPLATE,
+        arrays(weights=lambda a: 2 * a),
+        "weights: expected rows that sum to 1",
+    ),
     "more identity than shapes": (TEMPLATE, arrays(n_shape=np.int64(99)), "n_shape: expected integers"),
 }
-for _key in ("v_template", "shapedirs", "n_shape", "posedirs", "J_regressor", "kintree_table", "weights", "f", "vt", "ft"):
+for _key in (
+    "v_template",
+    "shapedirs",
+    "n_shape",
+    "posedirs",
+    "J_regressor",
+    "kintree_table",
+    "weights",
+    "f",
+    "vt",
+    "ft",
+):
     TEMPLATES[f"a template without {_key}"] = (TEMPLATE, arrays(**{_key: None}), f"{_key}: expected")
 DAMAGES = LISTS | PICTURES | PARAMETERS | TEMPLATES
 
@@ -215,7 +319,9 @@ def test_a_missing_folder_is_seen_in_its_first_file(dataset, folder):
 
 
 def test_no_dataset_at_all(tmp_path):
-    assert f"{tmp_path / 'nowhere'}: expected a dataset's folder, found no such folder" in refused(tmp_path / "nowhere")
+    assert f"{tmp_path / 'nowhere'}: expected a dataset's folder, found no such folder" in refused(
+        tmp_path / "nowhere"
+    )
 
 
 def test_a_dataset_that_is_a_file(tmp_path):
@@ -271,7 +377,13 @@ def test_two_images_of_one_name(dataset):
 
 @pytest.mark.parametrize(
     ("split", "fragment"),
-    [("half", "'half'"), ("1.5", "'1.5'"), ("last:0", "'last:0'"), ("last:6", "an empty part of 6 timesteps"), ("0.01", "an empty part")],
+    [
+        ("half", "'half'"),
+        ("1.5", "'1.5'"),
+        ("last:0", "'last:0'"),
+        ("last:6", "an empty part of 6 timesteps"),
+        ("0.01", "an empty part"),
+    ],
 )
 def test_a_split_that_cannot_be(dataset, split, fragment):
     message = refused(dataset, split=split)

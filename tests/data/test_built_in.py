@@ -1,4 +1,5 @@
-"""The built-in subject in every layout of a tracked film: whichever is opened, it is the same head before the same camera."""
+"""The built-in subject in every layout of a tracked film: whichever is opened, it is the same head before the
+same camera."""
 
 from dataclasses import replace
 
@@ -9,9 +10,9 @@ from data.built_in import MOMENTS, built_in_film, parameters_of, write_built_in
 from data.layouts import WRITERS
 
 from samira_warp.avatar import Avatar
-from samira_warp.camera import Camera
 from samira_warp.check.report import check_dataset
 from samira_warp.data import load_pixels, open_sequence
+from samira_warp.geometry.camera import Camera
 from samira_warp.head import HeadModel
 
 
@@ -37,13 +38,21 @@ def avatar(built_in_run):
 
 
 def camera_of(film):
-    return Camera(torch.from_numpy(film.world_to_camera[0]), *film.focal[0].tolist(), *film.center[0].tolist(), film.width, film.height)
+    return Camera(
+        torch.from_numpy(film.world_to_camera[0]),
+        *film.focal[0].tolist(),
+        *film.center[0].tolist(),
+        film.width,
+        film.height,
+    )
 
 
 def project(vertices, camera):
     seen = vertices @ camera.world_to_camera[:3, :3].double().T + camera.world_to_camera[:3, 3].double()
     assert (seen[:, 2] > 0).all()
-    return seen[:, :2] / seen[:, 2:] * torch.tensor([camera.fx, camera.fy]) + torch.tensor([camera.cx, camera.cy])
+    return seen[:, :2] / seen[:, 2:] * torch.tensor([camera.fx, camera.fy]) + torch.tensor(
+        [camera.cx, camera.cy]
+    )
 
 
 def test_vertices_project_where_the_film_has_them(anothers):
@@ -52,14 +61,20 @@ def test_vertices_project_where_the_film_has_them(anothers):
     assert film.shape.any()
     assert [frame.name for frame in anothers.frames] == film.names
     for row, frame in enumerate(anothers.frames):
-        expected = project(model.vertices(parameters_of(film, row), torch.from_numpy(film.shape)).vertices, camera_of(film))
-        found = project(model.vertices(frame.parameters.to(dtype=torch.float64), anothers.shape.double()).vertices, frame.camera)
+        expected = project(
+            model.vertices(parameters_of(film, row), torch.from_numpy(film.shape)).vertices, camera_of(film)
+        )
+        found = project(
+            model.vertices(frame.parameters.to(dtype=torch.float64), anothers.shape.double()).vertices,
+            frame.camera,
+        )
         # 0.05 px in a picture of 512 pixels; float32 in the files is good to a thousandth of that
         torch.testing.assert_close(found, expected, atol=0.05 * film.width / 512, rtol=0)
 
 
 def test_the_avatar_is_drawn_the_same(sequence, avatar):
-    """Pixel for pixel, light included: the film begins at rest, so that every layout's camera is held where the film's one stands."""
+    """Pixel for pixel, light included: the film begins at rest, so that every layout's camera is held where
+    the film's one stands."""
     film = built_in_film(0)
     for row in (0, 3, 6):
         frame = sequence.frames[row]
@@ -68,8 +83,8 @@ def test_the_avatar_is_drawn_the_same(sequence, avatar):
             expected = avatar.render(parameters_of(film, row).to(dtype=torch.float32), camera)
             found = avatar.render(frame.parameters, frame.camera)
         assert expected.gbuffer.alpha.max() > 0.5
-        # float32 moves a Gaussian by 1e-6 m, which is 2e-4 px, and edges rise by less than 1 in a pixel; where a Gaussian lies at the
-        # rasteriser's cut of 1/255, though, it comes or goes with as much
+        # float32 moves a Gaussian by 1e-6 m, which is 2e-4 px, and edges rise by less than 1 in a pixel;
+        # where a Gaussian lies at the rasteriser's cut of 1/255, though, it comes or goes with as much
         difference = (found.image - expected.image).abs()
         assert difference.max() < 1.1 / 255
         assert (difference > 1e-3).float().mean() < 1e-3
@@ -84,7 +99,8 @@ def test_pictures_and_masks_are_the_films(sequence):
         jpeg = frame.mask_path is not None and frame.mask_path.suffix == ".jpg"
         assert np.abs(pixels.mask.numpy() - mask).mean() < (0.01 if jpeg else 1e-6)
         inside = mask > 0.99
-        # colours that were taken off white and laid on it again lose a level; JPEG some more, at the hair's edge
+        # colours that were taken off white and laid on it again lose a level; JPEG some more, at the hair's
+        # edge
         assert np.abs(pixels.image.numpy() - image)[inside].mean() < (0.02 if jpeg else 1.01 / 255)
 
 

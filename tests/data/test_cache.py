@@ -6,7 +6,7 @@ import torch
 from data.damage import cut
 
 from samira_warp.data import PixelCache, cache, load_pixels, open_listing
-from samira_warp.errors import UserError
+from samira_warp.support.errors import UserError
 
 SIZE = {"width": 32, "height": 32}
 # 16 bits for image, mask and albedo, the first four frames'; the last two have none
@@ -38,8 +38,14 @@ def ask(pixel_cache, *indices):
 
 def equal(first, second):
     if first.albedo is None or second.albedo is None:
-        return first.albedo is second.albedo and torch.equal(first.image, second.image) and torch.equal(first.mask, second.mask)
-    return all(torch.equal(getattr(first, name), getattr(second, name)) for name in ("image", "mask", "albedo"))
+        return (
+            first.albedo is second.albedo
+            and torch.equal(first.image, second.image)
+            and torch.equal(first.mask, second.mask)
+        )
+    return all(
+        torch.equal(getattr(first, name), getattr(second, name)) for name in ("image", "mask", "albedo")
+    )
 
 
 def test_eight_bit_frames_are_kept_exactly_enough(frames):
@@ -55,7 +61,12 @@ def test_eight_bit_frames_are_kept_exactly_enough(frames):
 
 def test_averages_are_kept_to_sixteen_bits(frames):
     with PixelCache(frames, width=20, height=12) as pixels:
-        torch.testing.assert_close(pixels[0].image, load_pixels(frames[0], width=20, height=12).image, atol=0.5 / 65535 + 6e-8, rtol=0)
+        torch.testing.assert_close(
+            pixels[0].image,
+            load_pixels(frames[0], width=20, height=12).image,
+            atol=0.5 / 65535 + 6e-8,
+            rtol=0,
+        )
 
 
 def test_a_frame_is_decoded_once_within_the_budget(frames, decoded):
@@ -97,7 +108,10 @@ def test_no_budget_keeps_nothing_and_still_answers(frames, decoded):
 
 def test_content_does_not_depend_on_how_a_frame_came(frames):
     """Just decoded, kept, fetched ahead, and decoded again after it was dropped: the same bits."""
-    with PixelCache(frames, width=20, height=20) as plain, PixelCache(frames, width=20, height=20, max_bytes=WITH_ALBEDO) as pressed:
+    with (
+        PixelCache(frames, width=20, height=20) as plain,
+        PixelCache(frames, width=20, height=20, max_bytes=WITH_ALBEDO) as pressed,
+    ):
         pressed.prefetch(range(6))
         for order in ((3, 0, 5, 1, 4, 2), (2, 2, 0, 5)):
             for index in order:

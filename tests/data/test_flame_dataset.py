@@ -26,7 +26,8 @@ def film_of(layout, **sizes):
 
 @pytest.mark.parametrize("rows", [FLAME_VERTICES, FLAME_VERTICES + TEETH_VERTICES])
 def test_a_static_offset_fits_with_and_without_teeth(tmp_path, flame, rows):
-    """GaussianAvatars' and VHAP's have rows for the teeth; FLAME alone has none. There are no eyelids in an export."""
+    """GaussianAvatars' and VHAP's have rows for the teeth; FLAME alone has none. There are no eyelids in an
+    export."""
     film = film_of("VHAP export")
     film.static_offset = 1e-3 * np.random.default_rng(0).normal(size=(rows, 3))
     write_layout("VHAP export", film, tmp_path / "subject")
@@ -44,7 +45,9 @@ def test_trackers_of_fewer_shapes_and_eyelids(tmp_path, flame):
     film = film_of("HRAvatar v1", n_shape=100, n_expression=50)
     write_layout("HRAvatar v1", film, tmp_path / "subject")
     sequence = open_sequence(tmp_path / "subject", flame=flame)
-    assert sequence.notes == ("the dataset has no division of its own: the first 70 % of its timesteps train",)
+    assert sequence.notes == (
+        "the dataset has no division of its own: the first 70 % of its timesteps train",
+    )
     np.testing.assert_allclose(sequence.shape.numpy(), np.pad(film.shape, (0, 200)), atol=1e-6)
     for row, frame in enumerate(sequence.frames):
         expected = np.concatenate([film.expression[row], np.zeros(50), film.eyelids[row]])
@@ -53,7 +56,10 @@ def test_trackers_of_fewer_shapes_and_eyelids(tmp_path, flame):
     lids = sequence.template.shapedirs[:, :, -2:] @ film.eyelids[0]
     closed = model.rest()
     closed.expression[-2:] = torch.from_numpy(film.eyelids[0])
-    moved = (model.vertices(closed, sequence.shape).vertices - model.vertices(model.rest(), sequence.shape).vertices).numpy()
+    moved = (
+        model.vertices(closed, sequence.shape).vertices
+        - model.vertices(model.rest(), sequence.shape).vertices
+    ).numpy()
     np.testing.assert_allclose(moved, lids, atol=1e-6)
 
 

@@ -1,4 +1,5 @@
-"""Every layout of a tracked film gives back the heads and cameras that were written, whatever its units and axes."""
+"""Every layout of a tracked film gives back the heads and cameras that were written, whatever its units and
+axes."""
 
 import json
 import shutil
@@ -11,14 +12,14 @@ from data.layouts import WRITERS, make_film_for, take, write_layout
 from data.tiny import N_EXPRESSION, tiny_template
 from PIL import Image
 
-from samira_warp.camera import Camera
 from samira_warp.data import load_pixels, open_listing, open_sequence
 from samira_warp.data.metrical_tracker import rotation_vectors
 from samira_warp.data.pictures import natural
-from samira_warp.errors import UserError
+from samira_warp.geometry.camera import Camera
+from samira_warp.geometry.rotation import axis_angle_to_matrix
 from samira_warp.head import FrameParameters, HeadModel, read_template
 from samira_warp.head.flame import EYELIDS
-from samira_warp.head.rotation import axis_angle_to_matrix
+from samira_warp.support.errors import UserError
 
 TRACKERS = [name for name in WRITERS if name != "VHAP export"]
 
@@ -29,7 +30,10 @@ def with_eyelids(arrays):
     for side, name in enumerate(("left", "right")):
         lids[arrays[f"mask_{name}_eye_region"], 1, side] = -0.004
     names = [*arrays["expression_names"], *EYELIDS]
-    return arrays | {"shapedirs": np.concatenate([arrays["shapedirs"], lids], axis=2), "expression_names": np.array(names)}
+    return arrays | {
+        "shapedirs": np.concatenate([arrays["shapedirs"], lids], axis=2),
+        "expression_names": np.array(names),
+    }
 
 
 def write(layout, root, film=None, *, eyelids=True, **options):
@@ -45,7 +49,14 @@ def truth(film, row, template):
     expression = film.expression[row]
     if template.expression_names[-2:] == EYELIDS:
         expression = np.concatenate([expression, film.eyelids[row]])
-    values = (film.translation[row], film.rotation[row], film.neck[row], film.jaw[row], film.eyes[row], expression)
+    values = (
+        film.translation[row],
+        film.rotation[row],
+        film.neck[row],
+        film.jaw[row],
+        film.eyes[row],
+        expression,
+    )
     offset = None if film.static_offset is None else torch.from_numpy(film.static_offset)
     parameters = FrameParameters(*(torch.from_numpy(value) for value in values), static_offset=offset)
     pose = torch.from_numpy(film.world_to_camera[row])
@@ -81,7 +92,12 @@ def test_vertices_project_where_they_were_tracked(tmp_path, layout):
     assert sequence.train
     assert sequence.test
     for frame in sequence.frames:
-        values = (frame.camera.width, frame.camera.height, frame.camera.world_to_camera.dtype, frame.parameters.rotation.dtype)
+        values = (
+            frame.camera.width,
+            frame.camera.height,
+            frame.camera.world_to_camera.dtype,
+            frame.parameters.rotation.dtype,
+        )
         assert values == (film.width, film.height, torch.float32, torch.float32)
 
 
@@ -89,9 +105,13 @@ def test_vertices_project_where_they_were_tracked(tmp_path, layout):
 def test_the_camera_stands_still_and_the_head_moves(tmp_path, layout):
     write(layout, tmp_path / "subject")
     frames = open_sequence(tmp_path / "subject").frames
-    assert all(torch.equal(frame.camera.world_to_camera, frames[0].camera.world_to_camera) for frame in frames)
+    assert all(
+        torch.equal(frame.camera.world_to_camera, frames[0].camera.world_to_camera) for frame in frames
+    )
     assert not torch.equal(frames[0].parameters.rotation, frames[1].parameters.rotation)
-    assert torch.equal(open_listing(tmp_path / "subject").frames[0].camera.world_to_camera, frames[0].camera.world_to_camera)
+    assert torch.equal(
+        open_listing(tmp_path / "subject").frames[0].camera.world_to_camera, frames[0].camera.world_to_camera
+    )
 
 
 def test_the_cameras_of_an_export_are_its_own(tmp_path):
@@ -175,7 +195,9 @@ def test_an_export_whose_pictures_were_converted(tmp_path):
         Image.open(path).save(path.with_suffix(".WEBP"), lossless=True)
         path.unlink()
     sequence = open_sequence(root)
-    assert {path.suffix for frame in sequence.frames for path in (frame.image_path, frame.mask_path)} == {".WEBP"}
+    assert {path.suffix for frame in sequence.frames for path in (frame.image_path, frame.mask_path)} == {
+        ".WEBP"
+    }
     check_pictures(sequence, film)
 
 
@@ -213,7 +235,12 @@ def test_pictures_smaller_than_those_that_were_tracked(tmp_path):
     film = write("metrical-tracker", root)
     for path in (root / "images").iterdir():
         Image.open(path).resize((film.width // 2, film.height // 2)).save(path)
-    film.focal, film.center, film.width, film.height = film.focal / 2, film.center / 2, film.width // 2, film.height // 2
+    film.focal, film.center, film.width, film.height = (
+        film.focal / 2,
+        film.center / 2,
+        film.width // 2,
+        film.height // 2,
+    )
     check_projections(open_sequence(root), film)
 
 
@@ -236,11 +263,14 @@ def test_instas_division(tmp_path):
     assert open_listing(tmp_path / "subject").test == (4, 5)
     assert open_listing(tmp_path / "subject", split="last:1").test == (5,)
     for part in ("train", "test"):
-        change_json(tmp_path / "subject" / f"transforms_{part}.json", lambda document: document["frames"].pop(0))
+        change_json(
+            tmp_path / "subject" / f"transforms_{part}.json", lambda document: document["frames"].pop(0)
+        )
     sequence = open_sequence(tmp_path / "subject")
     assert [frame.name for frame in sequence.frames] == ["00001", "00002", "00003", "00005"]
     assert sequence.test == (3,)
-    # where the camera is held does not depend on the division: light that was learned by one must do for the other
+    # where the camera is held does not depend on the division: light that was learned by one must do for the
+    # other
     whole = open_sequence(tmp_path / "subject", split="0.5")
     assert torch.equal(sequence.frames[0].camera.world_to_camera, whole.frames[0].camera.world_to_camera)
     assert torch.equal(sequence.frames[0].parameters.rotation, whole.frames[1].parameters.rotation)
@@ -292,9 +322,18 @@ def test_albedo_is_found_in_any_layout(tmp_path):
     for number, layout in enumerate(WRITERS):
         film = write(layout, tmp_path / str(number))
         (tmp_path / str(number) / "albedo").mkdir()
-        Image.new("RGB", (film.width, film.height), (9, 9, 9)).save(tmp_path / str(number) / "albedo" / f"{film.names[1]}.JPG")
+        Image.new("RGB", (film.width, film.height), (9, 9, 9)).save(
+            tmp_path / str(number) / "albedo" / f"{film.names[1]}.JPG"
+        )
         frames = open_sequence(tmp_path / str(number)).frames
-        assert [frame.albedo_path is not None for frame in frames] == [False, True, False, False, False, False]
+        assert [frame.albedo_path is not None for frame in frames] == [
+            False,
+            True,
+            False,
+            False,
+            False,
+            False,
+        ]
 
 
 def test_named_expressions_are_not_filled_up(tmp_path):
@@ -319,7 +358,9 @@ def test_unnamed_shapes_are_filled_up_with_zeros(tmp_path):
 
 def test_more_coefficients_than_shapes_are_refused(tmp_path):
     write("HRAvatar v2", tmp_path / "subject", make_film_for("HRAvatar v2", n_shape=3), eyelids=False)
-    with pytest.raises(UserError, match=r"tracked_params_v2\.json: identity: expected 2 coefficients.* found 3"):
+    with pytest.raises(
+        UserError, match=r"tracked_params_v2\.json: identity: expected 2 coefficients.* found 3"
+    ):
         open_sequence(tmp_path / "subject")
 
 

@@ -10,8 +10,7 @@ from data.damage import file_size_limit
 from PIL import Image
 from skimage.transform import downscale_local_mean
 
-from samira_warp.errors import UserError
-from samira_warp.images import (
+from samira_warp.io.images import (
     image_size,
     read_image,
     read_labels,
@@ -23,6 +22,7 @@ from samira_warp.images import (
     write_exr,
     write_png,
 )
+from samira_warp.support.errors import UserError
 
 
 @pytest.fixture
@@ -49,8 +49,12 @@ def test_grey_and_colour_are_exchanged(tmp_path, noise):
     write_png(tmp_path / "grey.png", noise[..., 0])
     write_png(tmp_path / "colour.png", noise[..., :3])
     grey = noise[..., :1].astype(np.float32) / 255
-    np.testing.assert_allclose(read_image(tmp_path / "grey.png", channels=3), np.repeat(grey, 3, axis=2), atol=1e-7)
-    np.testing.assert_allclose(read_image(tmp_path / "colour.png", channels=1)[..., 0], noise[..., :3].mean(axis=2) / 255, atol=1e-6)
+    np.testing.assert_allclose(
+        read_image(tmp_path / "grey.png", channels=3), np.repeat(grey, 3, axis=2), atol=1e-7
+    )
+    np.testing.assert_allclose(
+        read_image(tmp_path / "colour.png", channels=1)[..., 0], noise[..., :3].mean(axis=2) / 255, atol=1e-6
+    )
 
 
 def test_alpha_is_straight(tmp_path, noise):
@@ -62,7 +66,9 @@ def test_alpha_is_straight(tmp_path, noise):
     np.testing.assert_array_equal(to_uint8(alpha), noise[..., 3])
     np.testing.assert_array_equal(np.asarray(Image.open(tmp_path / "a.png")), noise)
     coverage = noise[..., 3:] / 255
-    np.testing.assert_allclose(read_on_white(tmp_path / "a.png"), coverage * noise[..., :3] / 255 + 1 - coverage, atol=1e-6)
+    np.testing.assert_allclose(
+        read_on_white(tmp_path / "a.png"), coverage * noise[..., :3] / 255 + 1 - coverage, atol=1e-6
+    )
     np.testing.assert_array_equal(read_image(tmp_path / "a.png", channels=3), colour)
 
 
@@ -87,7 +93,9 @@ def test_16_bits(tmp_path):
 def test_a_jpeg_is_read(tmp_path):
     Image.new("RGB", (16, 8), (200, 100, 50)).save(tmp_path / "a.jpg", quality=95)
     assert image_size(tmp_path / "a.jpg") == (16, 8)
-    np.testing.assert_allclose(read_image(tmp_path / "a.jpg", channels=3)[4, 8], np.array([200, 100, 50]) / 255, atol=2 / 255)
+    np.testing.assert_allclose(
+        read_image(tmp_path / "a.jpg", channels=3)[4, 8], np.array([200, 100, 50]) / 255, atol=2 / 255
+    )
 
 
 def test_an_exr_keeps_floats_whatever_their_range(tmp_path):
@@ -140,8 +148,14 @@ def broken(kind, whole):
         "no end": whole[:-12],
         "a cut end": whole[:-5],
         "a flipped bit": whole[:60] + bytes([whole[60] ^ 1]) + whole[61:],
-        "pixels that do not inflate": SIGNATURE + HEADER + chunk(b"IDAT", b"not deflated") + chunk(b"IEND", b""),
-        "too few pixels": SIGNATURE + HEADER + chunk(b"IDAT", zlib.compress(b"\x00" * 13)) + chunk(b"IEND", b""),
+        "pixels that do not inflate": SIGNATURE
+        + HEADER
+        + chunk(b"IDAT", b"not deflated")
+        + chunk(b"IEND", b""),
+        "too few pixels": SIGNATURE
+        + HEADER
+        + chunk(b"IDAT", zlib.compress(b"\x00" * 13))
+        + chunk(b"IEND", b""),
         "no pixels": SIGNATURE + HEADER + chunk(b"IEND", b""),
     }[kind]
 
@@ -178,7 +192,9 @@ def test_a_file_of_another_kind_is_named(tmp_path, capfd, suffix):
     assert capfd.readouterr() == ("", "")
 
 
-@pytest.mark.parametrize("read", [image_size, read_rgba, read_labels, read_on_white, lambda path: read_image(path, channels=1)])
+@pytest.mark.parametrize(
+    "read", [image_size, read_rgba, read_labels, read_on_white, lambda path: read_image(path, channels=1)]
+)
 def test_missing_files_and_folders(tmp_path, read):
     with pytest.raises(UserError, match=r"gone\.png.*no such file"):
         read(tmp_path / "gone.png")
@@ -214,7 +230,10 @@ def test_what_cannot_be_written_is_an_os_error(tmp_path, write, suffix):
 def test_a_disk_that_takes_a_part_is_an_os_error(tmp_path, write, suffix, share):
     path, values = tmp_path / f"a{suffix}", np.random.default_rng(0).random((96, 96, 3))
     write(path, values)
-    with file_size_limit(int(share * path.stat().st_size)), pytest.raises(OSError, match="cannot be written") as caught:
+    with (
+        file_size_limit(int(share * path.stat().st_size)),
+        pytest.raises(OSError, match="cannot be written") as caught,
+    ):
         write(path, values)
     assert str(path) in str(caught.value)
     write(path, values)
@@ -223,8 +242,12 @@ def test_a_disk_that_takes_a_part_is_an_os_error(tmp_path, write, suffix, share)
 
 def test_boxes_of_a_whole_factor_are_block_means():
     image = np.random.default_rng(0).random((12, 20, 3))
-    np.testing.assert_allclose(resize_box(image, width=5, height=4), downscale_local_mean(image, (3, 4, 1)), atol=1e-15)
-    np.testing.assert_allclose(resize_box(image[..., 0], width=5, height=4), downscale_local_mean(image[..., 0], (3, 4)), atol=1e-15)
+    np.testing.assert_allclose(
+        resize_box(image, width=5, height=4), downscale_local_mean(image, (3, 4, 1)), atol=1e-15
+    )
+    np.testing.assert_allclose(
+        resize_box(image[..., 0], width=5, height=4), downscale_local_mean(image[..., 0], (3, 4)), atol=1e-15
+    )
 
 
 @pytest.mark.parametrize(("width", "height"), [(7, 5), (9, 12), (20, 5), (13, 11), (1, 1)])

@@ -1,4 +1,5 @@
-"""Long sequences: what was read of their files is read once, believed only while the files are the same, and never too much at a time."""
+"""Long sequences: what was read of their files is read once, believed only while the files are the same, and
+never too much at a time."""
 
 import json
 import os
@@ -17,9 +18,9 @@ from data.tiny import tiny_template
 
 from samira_warp.data import PixelCache, index, open_listing, open_sequence
 from samira_warp.data.index import FileIndex
-from samira_warp.errors import UserError
-from samira_warp.files import cache_folder
-from samira_warp.images import image_size
+from samira_warp.io.files import cache_folder
+from samira_warp.io.images import image_size
+from samira_warp.support.errors import UserError
 
 LAYOUTS = ("VHAP export", "metrical-tracker")
 
@@ -48,7 +49,9 @@ def reads(monkeypatch):
 def dataset(layout, root, **options):
     film = make_film_for(layout, **options)
     if layout == "VHAP export":
-        film.static_offset = 1e-3 * np.random.default_rng(0).normal(size=(len(tiny_template()["v_template"]), 3))
+        film.static_offset = 1e-3 * np.random.default_rng(0).normal(
+            size=(len(tiny_template()["v_template"]), 3)
+        )
     write_layout(layout, film, root)
     np.savez(root / "template.npz", **tiny_template())
     return root
@@ -57,7 +60,11 @@ def dataset(layout, root, **options):
 def assert_same(first, second):
     assert (first.train, first.test, first.notes) == (second.train, second.test, second.notes)
     for ours, theirs in zip(first.frames, second.frames, strict=True):
-        assert (ours.name, ours.image_path, ours.mask_path) == (theirs.name, theirs.image_path, theirs.mask_path)
+        assert (ours.name, ours.image_path, ours.mask_path) == (
+            theirs.name,
+            theirs.image_path,
+            theirs.mask_path,
+        )
         assert torch.equal(ours.camera.world_to_camera, theirs.camera.world_to_camera)
         for field in fields(ours.parameters):
             a, b = getattr(ours.parameters, field.name), getattr(theirs.parameters, field.name)
@@ -176,7 +183,10 @@ def test_offsets_that_frames_share_are_kept_once_and_their_own_are_not(tmp_path,
     with np.load(path) as archive:
         assert not [key for key in archive.files if key.startswith(("large/", "rows/"))]
     assert_same(open_sequence(root), own)
-    assert torch.equal(own.frames[4].parameters.dynamic_offset, torch.full_like(own.frames[4].parameters.dynamic_offset, 4e-3))
+    assert torch.equal(
+        own.frames[4].parameters.dynamic_offset,
+        torch.full_like(own.frames[4].parameters.dynamic_offset, 4e-3),
+    )
 
 
 def test_arrays_come_back_as_float32_whatever_they_were(tmp_path):

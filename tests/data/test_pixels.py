@@ -8,8 +8,8 @@ import torch
 
 from samira_warp.data import open_listing
 from samira_warp.data.pixels import load_mask, load_pixels, on_white
-from samira_warp.errors import UserError
-from samira_warp.images import read_image, resize_box, write_png
+from samira_warp.io.images import read_image, resize_box, write_png
+from samira_warp.support.errors import UserError
 
 SIZE = {"width": 32, "height": 32}
 COLOUR = np.array([0.8, 0.4, 0.2])
@@ -33,7 +33,11 @@ def blend(colour, background, mask):
 
 def test_pixels_are_those_of_the_files(frame):
     pixels = load_pixels(frame, **SIZE)
-    files = ((pixels.image, frame.image_path, 3), (pixels.albedo, frame.albedo_path, 3), (pixels.mask[..., None], frame.mask_path, 1))
+    files = (
+        (pixels.image, frame.image_path, 3),
+        (pixels.albedo, frame.albedo_path, 3),
+        (pixels.mask[..., None], frame.mask_path, 1),
+    )
     for ours, path, channels in files:
         assert ours.dtype == torch.float32
         np.testing.assert_array_equal(ours.numpy(), read_image(path, channels=channels))
@@ -46,7 +50,11 @@ def test_an_absent_albedo_is_none(tiny_dataset):
 @pytest.mark.parametrize(("width", "height"), [(16, 16), (12, 20)])
 def test_all_are_box_resized(frame, width, height):
     pixels, whole = load_pixels(frame, width=width, height=height), load_pixels(frame, **SIZE)
-    assert (pixels.image.shape, pixels.mask.shape, pixels.albedo.shape) == ((height, width, 3), (height, width), (height, width, 3))
+    assert (pixels.image.shape, pixels.mask.shape, pixels.albedo.shape) == (
+        (height, width, 3),
+        (height, width),
+        (height, width, 3),
+    )
     for ours, full in ((pixels.image, whole.image), (pixels.mask, whole.mask), (pixels.albedo, whole.albedo)):
         np.testing.assert_array_equal(ours.numpy(), resize_box(full.numpy(), width=width, height=height))
         assert ours.mean().item() == pytest.approx(full.mean().item(), abs=1e-6)
@@ -66,7 +74,9 @@ def test_an_alpha_channel_is_laid_on_white_and_is_the_mask(frame, tmp_path):
 def test_a_mask_file_outweighs_the_alpha_channel_as_coverage(frame, tmp_path):
     write_png(tmp_path / "rgba.png", np.dstack([np.broadcast_to(COLOUR, (32, 32, 3)), ramp()]))
     write_png(tmp_path / "mask.png", ramp()[:, ::-1])
-    frame = replace(frame, image_path=tmp_path / "rgba.png", mask_path=tmp_path / "mask.png", albedo_path=None)
+    frame = replace(
+        frame, image_path=tmp_path / "rgba.png", mask_path=tmp_path / "mask.png", albedo_path=None
+    )
     pixels = load_pixels(frame, **SIZE)
     np.testing.assert_allclose(pixels.mask.numpy(), ramp()[:, ::-1], atol=LEVEL)
     np.testing.assert_allclose(pixels.image.numpy(), blend(COLOUR, 1.0, ramp()), atol=2 * LEVEL)
@@ -80,11 +90,15 @@ def test_without_mask_and_alpha_all_is_covered(frame):
 
 @pytest.mark.parametrize("background", [(1.0, 1.0, 1.0), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0)])
 def test_a_background_of_one_colour_becomes_white(frame, tmp_path, background):
-    """What the export blended with its background is what it would have blended with white, whatever the coverage."""
+    """What the export blended with its background is what it would have blended with white, whatever the
+    coverage."""
     mask = ramp()
     write_png(tmp_path / "image.png", blend(COLOUR, background, mask))
     write_png(tmp_path / "mask.png", mask)
-    pixels = load_pixels(replace(frame, image_path=tmp_path / "image.png", mask_path=tmp_path / "mask.png", albedo_path=None), **SIZE)
+    pixels = load_pixels(
+        replace(frame, image_path=tmp_path / "image.png", mask_path=tmp_path / "mask.png", albedo_path=None),
+        **SIZE,
+    )
     np.testing.assert_allclose(pixels.image.numpy(), blend(COLOUR, 1.0, mask), atol=2 * LEVEL)
 
 

@@ -1,7 +1,7 @@
 import pytest
 
 from samira_warp.data.split import divide_timesteps, parse_split
-from samira_warp.errors import UserError
+from samira_warp.support.errors import UserError
 
 
 @pytest.mark.parametrize(
@@ -47,7 +47,9 @@ def test_timesteps_are_divided_in_their_own_order_and_whole():
     assert divide_timesteps(parse_split("0.5"), views) == ({10, 20}, {30, 40})
 
 
-@pytest.mark.parametrize(("text", "count"), [("0.01", 6), ("0.99", 6), ("last:6", 6), ("last:7", 6), ("0.5", 1), ("last:1", 1)])
+@pytest.mark.parametrize(
+    ("text", "count"), [("0.01", 6), ("0.99", 6), ("last:6", 6), ("last:7", 6), ("0.5", 1), ("last:1", 1)]
+)
 def test_a_split_that_leaves_a_part_empty_is_refused(text, count):
     with pytest.raises(UserError, match="empty part") as caught:
         divide_timesteps(parse_split(text), range(count))

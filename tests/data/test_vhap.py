@@ -13,9 +13,9 @@ from data.tiny import N_SHAPE, make_tiny_dataset
 
 from samira_warp.data import open_listing, open_sequence
 from samira_warp.data.vhap_parameters import read_tracked_head
-from samira_warp.errors import UserError
 from samira_warp.head.flame import FLAME_VERTICES
 from samira_warp.head.teeth import TEETH_VERTICES
+from samira_warp.support.errors import UserError
 
 PARTS = ("transforms.json", "transforms_train.json", "transforms_test.json")
 
@@ -118,16 +118,22 @@ def test_keys_that_are_not_known_are_passed_over(dataset):
 def test_a_camera_projects_a_known_point_where_it_should(dataset, seed):
     """A point a right of, b above and d before an OpenGL camera lands at (cx + fx a / d, cy - fy b / d)."""
     rng = np.random.default_rng(seed)
-    rotation = matrix("y", rng.uniform(-1, 1)) @ matrix("x", rng.uniform(-1, 1)) @ matrix("z", rng.uniform(-1, 1))
+    rotation = (
+        matrix("y", rng.uniform(-1, 1)) @ matrix("x", rng.uniform(-1, 1)) @ matrix("z", rng.uniform(-1, 1))
+    )
     position = rng.uniform(-1, 1, 3)
     camera_to_world = np.eye(4)
     camera_to_world[:3, :3], camera_to_world[:3, 3] = rotation, position
     intrinsics = {"fl_x": 100.0, "fl_y": 80.0, "cx": 15.0, "cy": 20.5}
-    change_every_entry(dataset, lambda entry: entry.update(intrinsics, transform_matrix=camera_to_world.tolist()))
+    change_every_entry(
+        dataset, lambda entry: entry.update(intrinsics, transform_matrix=camera_to_world.tolist())
+    )
     camera = open_listing(dataset).frames[0].camera
     a, b, d = 0.2, 0.1, 1.6
     world = rotation @ [a, b, -d] + position
-    x, y, z = (camera.world_to_camera.double() @ torch.tensor([*world, 1.0], dtype=torch.float64))[:3].tolist()
+    x, y, z = (camera.world_to_camera.double() @ torch.tensor([*world, 1.0], dtype=torch.float64))[
+        :3
+    ].tolist()
     # float32 rounding of a transform whose entries are near 1
     assert z == pytest.approx(d, abs=1e-6)
     assert camera.cx + camera.fx * x / z == pytest.approx(15.0 + 100.0 * a / d, abs=1e-4)
@@ -144,7 +150,10 @@ def test_a_camera_of_four_decimals_is_accepted(dataset):
 
 
 def test_each_frame_has_its_own_intrinsics(dataset):
-    change_every_entry(dataset, lambda entry: entry.update(fl_x=50.0 + entry["timestep_index"], cx=10.0 + entry["timestep_index"]))
+    change_every_entry(
+        dataset,
+        lambda entry: entry.update(fl_x=50.0 + entry["timestep_index"], cx=10.0 + entry["timestep_index"]),
+    )
     cameras = [frame.camera for frame in open_listing(dataset).frames]
     assert [camera.fx for camera in cameras] == [50.0 + index for index in range(6)]
     assert [camera.cx for camera in cameras] == [10.0 + index for index in range(6)]
@@ -160,7 +169,14 @@ def test_intrinsics_at_the_top_of_the_file_hold_for_all_frames(dataset):
 
     change_every_list(dataset, to_top)
     camera = open_listing(dataset).frames[-1].camera
-    assert (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height) == (70.0, 60.0, 12.0, 13.0, 32, 32)
+    assert (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height) == (
+        70.0,
+        60.0,
+        12.0,
+        13.0,
+        32,
+        32,
+    )
 
 
 def without(document, *keys):
@@ -201,7 +217,10 @@ def test_without_fl_y_pixels_are_square(dataset):
 
 def test_parameters_are_those_of_the_file_that_the_list_names(dataset):
     """VHAP names files by the original timestep: here the listed paths run backwards."""
-    change_every_entry(dataset, lambda entry: entry.update(flame_param_path=f"flame_param/{5 - entry['timestep_index']:05d}.npz"))
+    change_every_entry(
+        dataset,
+        lambda entry: entry.update(flame_param_path=f"flame_param/{5 - entry['timestep_index']:05d}.npz"),
+    )
     sequence = open_sequence(dataset)
     for frame in sequence.frames:
         with np.load(dataset / "flame_param" / f"{5 - frame.timestep:05d}.npz") as arrays:
@@ -237,7 +256,9 @@ def test_a_frames_own_static_offset_is_its_own(tmp_path):
     root = make_tiny_dataset(tmp_path / "subject", frames=4, size=32, static_offset=True)
     change_arrays(root / "flame_param" / "00001.npz", static_offset=lambda array: 2 * array)
     sequence = open_sequence(root)
-    torch.testing.assert_close(sequence.frames[1].parameters.static_offset, 2 * sequence.canonical_static_offset)
+    torch.testing.assert_close(
+        sequence.frames[1].parameters.static_offset, 2 * sequence.canonical_static_offset
+    )
 
 
 def test_the_template_may_come_from_elsewhere(dataset, tmp_path):
@@ -254,7 +275,12 @@ def test_flames_teeth_are_added_or_left_out(dataset, vertices, rows):
     path = dataset / "canonical_flame_param.npz"
     offset = np.random.default_rng(0).normal(size=(1, rows, 3)).astype(np.float32)
     change_arrays(path, static_offset=offset)
-    head = read_tracked_head(path, SimpleNamespace(v_template=np.zeros((vertices, 3)), n_expression=4, n_shape=2, names_expressions=True))
+    head = read_tracked_head(
+        path,
+        SimpleNamespace(
+            v_template=np.zeros((vertices, 3)), n_expression=4, n_shape=2, names_expressions=True
+        ),
+    )
     ours = head.parameters.static_offset.numpy()
     assert ours.shape == (vertices, 3)
     common = min(rows, vertices)
@@ -268,7 +294,10 @@ def test_an_offset_of_any_other_count_is_refused(dataset, rows):
     change_arrays(path, static_offset=np.zeros((1, rows, 3), np.float32))
     with pytest.raises(UserError, match=rf"static_offset: expected .*{FLAME_VERTICES}.* found .*{rows}"):
         read_tracked_head(
-            path, SimpleNamespace(v_template=np.zeros((FLAME_VERTICES, 3)), n_expression=4, n_shape=2, names_expressions=True)
+            path,
+            SimpleNamespace(
+                v_template=np.zeros((FLAME_VERTICES, 3)), n_expression=4, n_shape=2, names_expressions=True
+            ),
         )
 
 

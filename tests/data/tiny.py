@@ -1,6 +1,8 @@
-"""A made-up subject in the layout of a VHAP export: a lit sphere with eyes, lips and hair that turns and moves.
+"""A made-up subject in the layout of a VHAP export: a lit sphere with eyes, lips and hair that turns and
+moves.
 
-The pictures are ray-cast from the same sphere that the template's mesh approximates, so an avatar can be trained on it.
+The pictures are ray-cast from the same sphere that the template's mesh approximates, so an avatar can be
+trained on it.
 """
 
 from __future__ import annotations
@@ -10,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from samira_warp.images import resize_box, write_png
+from samira_warp.io.images import resize_box, write_png
 
 RADIUS = 0.1
 N_SHAPE, N_EXPRESSION = 2, 4
@@ -46,16 +48,26 @@ def make_tiny_dataset(path: Path, frames: int = 6, size: int = 32, *, static_off
         (path / folder).mkdir(parents=True)
     template = tiny_template()
     np.savez(path / "template.npz", **template)
-    rest = _parameters(np.zeros(3), np.zeros(3), np.zeros(N_EXPRESSION), len(template["v_template"]) if static_offset else None)
+    rest = _parameters(
+        np.zeros(3),
+        np.zeros(3),
+        np.zeros(N_EXPRESSION),
+        len(template["v_template"]) if static_offset else None,
+    )
     np.savez(path / "canonical_flame_param.npz", **rest)
     joint = template["J_regressor"][0] @ template["v_template"]
     train_count = int(0.7 * frames)
     entries = []
     for index in range(frames):
         phase = 2 * np.pi * index / frames
-        rotation, translation = np.array([0.1 * np.cos(phase), 0.5 * np.sin(phase), 0.0]), np.array([0.01, 0.005, 0.0]) * np.sin(2 * phase)
+        rotation, translation = (
+            np.array([0.1 * np.cos(phase), 0.5 * np.sin(phase), 0.0]),
+            np.array([0.01, 0.005, 0.0]) * np.sin(2 * phase),
+        )
         expression = 0.5 * np.sin(phase + np.arange(N_EXPRESSION))
-        parameters = _parameters(rotation, translation, expression, len(template["v_template"]) if static_offset else None)
+        parameters = _parameters(
+            rotation, translation, expression, len(template["v_template"]) if static_offset else None
+        )
         np.savez(path / "flame_param" / f"{index:05d}.npz", **parameters)
         image, mask, albedo = _picture(size, _matrix(rotation), joint, translation)
         write_png(path / "images" / f"{index:05d}_00.png", image)
@@ -63,7 +75,12 @@ def make_tiny_dataset(path: Path, frames: int = 6, size: int = 32, *, static_off
         if index < train_count:
             write_png(path / "albedo" / f"{index:05d}_00.png", albedo)
         entries.append(_entry(index, size))
-    for name, part in {"": entries, "_train": entries[:train_count], "_test": entries[train_count:], "_val": []}.items():
+    for name, part in {
+        "": entries,
+        "_train": entries[:train_count],
+        "_test": entries[train_count:],
+        "_val": [],
+    }.items():
         document = {
             **_intrinsics(size),
             "timestep_indices": [entry["timestep_index"] for entry in part],
@@ -75,7 +92,8 @@ def make_tiny_dataset(path: Path, frames: int = 6, size: int = 32, *, static_off
 
 
 def tiny_template() -> dict[str, np.ndarray]:
-    """FLAME's keys for an open sphere of RINGS x COLUMNS vertices and two small eyeballs beneath its surface."""
+    """FLAME's keys for an open sphere of RINGS x COLUMNS vertices and two small eyeballs beneath its
+    surface."""
     head, head_faces, head_uv, head_uv_faces = _sphere(RINGS, COLUMNS, (0.02, 0.22, 0.98, 0.98))
     parts, faces, uvs, uv_faces = [head * RADIUS], [head_faces], [head_uv], [head_uv_faces]
     for side, chart in ((1, (0.05, 0.02, 0.25, 0.18)), (-1, (0.35, 0.02, 0.55, 0.18))):
@@ -87,10 +105,19 @@ def tiny_template() -> dict[str, np.ndarray]:
     vertices = np.concatenate(parts)
     count, eye_count, head_count = len(vertices), len(parts[1]), len(head)
     ids = np.arange(count)
-    eyeballs = {"left_eyeball": ids[head_count : head_count + eye_count], "right_eyeball": ids[head_count + eye_count :]}
+    eyeballs = {
+        "left_eyeball": ids[head_count : head_count + eye_count],
+        "right_eyeball": ids[head_count + eye_count :],
+    }
     regions = _regions(head)
     masks = {name: ids[:head_count][regions == name] for name in PATCHES} | eyeballs
-    joint_vertices = (masks["neck"], masks["neck"], ids[:head_count], masks["left_eyeball"], masks["right_eyeball"])
+    joint_vertices = (
+        masks["neck"],
+        masks["neck"],
+        ids[:head_count],
+        masks["left_eyeball"],
+        masks["right_eyeball"],
+    )
     regressor, weights = np.zeros((5, count)), np.zeros((count, 5))
     for joint, members in enumerate(joint_vertices):
         regressor[joint, members] = 1 / len(members)
@@ -114,11 +141,18 @@ def tiny_template() -> dict[str, np.ndarray]:
 
 
 def _sphere(rings: int, columns: int, chart: tuple[float, float, float, float]):
-    """A unit sphere without its poles, seam at -z, denser round +z: vertices, outward faces, UVs in a chart (u0, v0, u1, v1), UV faces."""
+    """A unit sphere without its poles, seam at -z, denser round +z: vertices, outward faces, UVs in a chart
+    (u0, v0, u1, v1), UV faces."""
     turns = np.linspace(-1, 1, columns + 1)
-    polar, around = np.meshgrid(np.linspace(0.15, np.pi - 0.25, rings), np.pi * (0.6 * turns + 0.4 * turns**3), indexing="ij")
-    points = np.stack([np.sin(polar) * np.sin(around), np.cos(polar), np.sin(polar) * np.cos(around)], axis=-1)
-    ring, column = (grid.ravel() for grid in np.meshgrid(np.arange(rings - 1), np.arange(columns), indexing="ij"))
+    polar, around = np.meshgrid(
+        np.linspace(0.15, np.pi - 0.25, rings), np.pi * (0.6 * turns + 0.4 * turns**3), indexing="ij"
+    )
+    points = np.stack(
+        [np.sin(polar) * np.sin(around), np.cos(polar), np.sin(polar) * np.cos(around)], axis=-1
+    )
+    ring, column = (
+        grid.ravel() for grid in np.meshgrid(np.arange(rings - 1), np.arange(columns), indexing="ij")
+    )
 
     def triangles(stride: int, wrap: int):
         a, b = ring * stride + column, ring * stride + (column + 1) % wrap
@@ -126,11 +160,17 @@ def _sphere(rings: int, columns: int, chart: tuple[float, float, float, float]):
 
     u, v = np.meshgrid(np.linspace(chart[0], chart[2], columns + 1), np.linspace(chart[3], chart[1], rings))
     uvs = np.stack([u, v], axis=-1).reshape(-1, 2)
-    return points[:, :-1].reshape(-1, 3), triangles(columns, columns), uvs, triangles(columns + 1, columns + 1)
+    return (
+        points[:, :-1].reshape(-1, 3),
+        triangles(columns, columns),
+        uvs,
+        triangles(columns + 1, columns + 1),
+    )
 
 
 def _shapes(vertices: np.ndarray) -> np.ndarray:
-    """(V, 3, N_SHAPE + N_EXPRESSION): wider, taller, then lips, brows and cheeks moved by some millimetres."""
+    """(V, 3, N_SHAPE + N_EXPRESSION): wider, taller, then lips, brows and cheeks moved by some
+    millimetres."""
     wide, tall = vertices * [0.1, 0, 0], vertices * [0, 0.1, 0]
     moved = []
     for centre, direction in (
@@ -153,7 +193,8 @@ def _regions(directions: np.ndarray) -> np.ndarray:
 
 
 def _picture(size: int, rotation: np.ndarray, joint: np.ndarray, translation: np.ndarray):
-    """Image, mask and albedo in display values: the head's sphere, turned about its root joint, four rays a pixel."""
+    """Image, mask and albedo in display values: the head's sphere, turned about its root joint, four rays a
+    pixel."""
     fine = 2 * size
     x, y = np.meshgrid(np.arange(fine) + 0.5 - size, np.arange(fine) + 0.5 - size)
     ray = _unit(np.stack([x, -y, np.full_like(x, -2 * 2.8 * size)], axis=-1))
@@ -173,7 +214,11 @@ def _picture(size: int, rotation: np.ndarray, joint: np.ndarray, translation: np
         encoded = np.where(hit[..., None], np.maximum(linear, 0) ** (1 / 2.2), 1.0)
         return resize_box(encoded, width=size, height=size)
 
-    return on_white(albedo * shading[..., None]), resize_box(hit.astype(float), width=size, height=size), on_white(albedo)
+    return (
+        on_white(albedo * shading[..., None]),
+        resize_box(hit.astype(float), width=size, height=size),
+        on_white(albedo),
+    )
 
 
 def _parameters(rotation, translation, expression, offset_vertices):
@@ -185,7 +230,9 @@ def _parameters(rotation, translation, expression, offset_vertices):
         "eyes_pose": np.zeros(6),
         "expr": expression,
     }
-    arrays = {key: value[None].astype(np.float32) for key, value in arrays.items()} | {"shape": np.array([0.1, -0.1], np.float32)}
+    arrays = {key: value[None].astype(np.float32) for key, value in arrays.items()} | {
+        "shape": np.array([0.1, -0.1], np.float32)
+    }
     if offset_vertices is not None:
         arrays["static_offset"] = np.full((1, offset_vertices, 3), 1e-4, np.float32)
     return arrays
@@ -213,7 +260,12 @@ def _entry(index: int, size: int) -> dict[str, object]:
         "camera_index": 0,
         "camera_id": "00",
         **_intrinsics(size),
-        "transform_matrix": [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 1.0], [0.0, 0.0, 0.0, 1.0]],
+        "transform_matrix": [
+            [1.0, 0.0, 0.0, 0.0],
+            [0.0, 1.0, 0.0, 0.0],
+            [0.0, 0.0, 1.0, 1.0],
+            [0.0, 0.0, 0.0, 1.0],
+        ],
         "file_path": f"images/{index:05d}_00.png",
         "fg_mask_path": f"fg_masks/{index:05d}_00.png",
         "flame_param_path": f"flame_param/{index:05d}.npz",

@@ -76,13 +76,21 @@ def test_lpips_is_averaged_and_its_net_named(generator):
     first, second, truth = torch.rand(3, 32, 40, 3, generator=generator)
     pairs = [ImagePair("first", first, truth), ImagePair("second", second, truth)]
     result = evaluate(pairs, lpips=FakeDistance())
-    assert result["lpips"] == pytest.approx(sum((pair.prediction - pair.truth).square().mean().item() for pair in pairs) / 2)
+    assert result["lpips"] == pytest.approx(
+        sum((pair.prediction - pair.truth).square().mean().item() for pair in pairs) / 2
+    )
     assert "lpips_reason" not in result
     assert result["protocol"]["lpips_net"].startswith("alex")
 
 
 def test_without_masks_the_foreground_has_no_score(generator):
-    result = evaluate([ImagePair("a", torch.rand(16, 16, 3, generator=generator), torch.rand(16, 16, 3, generator=generator))])
+    result = evaluate(
+        [
+            ImagePair(
+                "a", torch.rand(16, 16, 3, generator=generator), torch.rand(16, 16, 3, generator=generator)
+            )
+        ]
+    )
     assert result["psnr_foreground"] is result["psnr_gain"] is None
     assert result["psnr"] > 0
 
@@ -109,7 +117,9 @@ def test_regions_are_scored_over_their_own_pixels(pairs):
         where = pair.labels == label
         assert first[name]["psnr"] == metrics.psnr_where(pair.prediction, pair.truth, where).item()
         assert first[name]["ssim"] == metrics.ssim_map(pair.prediction, pair.truth)[where].mean().item()
-    assert result["regions"]["eye"]["psnr"] == pytest.approx((first["eye"]["psnr"] + second["eye"]["psnr"]) / 2)
+    assert result["regions"]["eye"]["psnr"] == pytest.approx(
+        (first["eye"]["psnr"] + second["eye"]["psnr"]) / 2
+    )
     assert result["regions"]["lips"] == first["lips"]  # over the one frame that shows it
     assert "ear" not in result["regions"]
 
@@ -118,7 +128,9 @@ def test_an_error_elsewhere_leaves_a_regions_psnr(pairs):
     spoilt = pairs[0].prediction.clone()
     spoilt[12:] = 0.0
     before, after = (
-        evaluate([ImagePair("a", prediction, pairs[0].truth, None, pairs[0].labels)], region_names=NAMES)["regions"]["eye"]["psnr"]
+        evaluate([ImagePair("a", prediction, pairs[0].truth, None, pairs[0].labels)], region_names=NAMES)[
+            "regions"
+        ]["eye"]["psnr"]
         for prediction in (pairs[0].prediction, spoilt)
     )
     assert before == after
@@ -143,7 +155,10 @@ def turned(degrees):
 
 
 def test_normals_are_scored_by_angle_alone(pairs):
-    made = [ImagePair(pair.name, turned(degrees), turned(0), pair.mask, pair.labels) for pair, degrees in zip(pairs, (10, 20), strict=True)]
+    made = [
+        ImagePair(pair.name, turned(degrees), turned(0), pair.mask, pair.labels)
+        for pair, degrees in zip(pairs, (10, 20), strict=True)
+    ]
     result = evaluate(made, layer="normal", region_names=NAMES, lpips="normals are scored by angle")
     assert result["normal_angle"] == pytest.approx(15.0, abs=1e-3)
     assert not IMAGE_SCORES & set(result)
@@ -155,7 +170,10 @@ def test_normals_are_scored_by_angle_alone(pairs):
 def test_normals_outside_the_mask_do_not_count(pairs):
     prediction = turned(10).clone()
     prediction[pairs[0].mask <= 0.5] = torch.tensor([0.0, 0.0, -1.0])
-    with_mask, without = (evaluate([ImagePair("a", prediction, turned(0), mask)], layer="normal") for mask in (pairs[0].mask, None))
+    with_mask, without = (
+        evaluate([ImagePair("a", prediction, turned(0), mask)], layer="normal")
+        for mask in (pairs[0].mask, None)
+    )
     assert with_mask["normal_angle"] == pytest.approx(10.0, abs=1e-3)
     assert without["normal_angle"] == pytest.approx((80 * 10 + 240 * 180) / 320, abs=1e-2)
 

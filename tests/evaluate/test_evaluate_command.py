@@ -10,9 +10,9 @@ import pytest
 from data.damage import change_json, cut
 from subjects import write_lpips_weights
 
-from samira_warp.cli import run
 from samira_warp.evaluate.__main__ import EvaluateConfig, main
-from samira_warp.images import read_image, write_png
+from samira_warp.io.images import read_image, write_png
+from samira_warp.support.cli import run
 
 NAMES = [f"{index:05d}_00" for index in range(6)]
 
@@ -34,12 +34,17 @@ def predictions(dataset, tmp_path):
     folder = tmp_path / "pred"
     folder.mkdir()
     for name in NAMES:
-        write_png(folder / f"{name}.png", read_image(dataset / "images" / f"{name}.png", channels=3) * np.array([0.8, 0.9, 0.7]))
+        write_png(
+            folder / f"{name}.png",
+            read_image(dataset / "images" / f"{name}.png", channels=3) * np.array([0.8, 0.9, 0.7]),
+        )
     return folder
 
 
 def evaluate(*arguments):
-    return run(main, EvaluateConfig, program="python -m samira_warp.evaluate", arguments=[*map(str, arguments)])
+    return run(
+        main, EvaluateConfig, program="python -m samira_warp.evaluate", arguments=[*map(str, arguments)]
+    )
 
 
 def scores(capsys, *arguments):
@@ -63,16 +68,25 @@ def refused(capsys, *arguments):
 def test_one_json_object(dataset, predictions, capsys):
     result = scores(capsys, "--pred", predictions, "--data", dataset)
     assert list(result["frames"]) == NAMES[4:]
-    ours, theirs = (read_image(folder / f"{NAMES[4]}.png", channels=3).astype(float) for folder in (predictions, dataset / "images"))
+    ours, theirs = (
+        read_image(folder / f"{NAMES[4]}.png", channels=3).astype(float)
+        for folder in (predictions, dataset / "images")
+    )
     first = result["frames"][NAMES[4]]
     assert first["psnr"] == pytest.approx(-10 * np.log10(((ours - theirs) ** 2).mean()), abs=1e-4)
     assert first["l1"] == pytest.approx(100 * np.abs(ours - theirs).mean(), rel=1e-5)
-    # what a gain per channel leaves is 8 bits' rounding, of variance 1/12 of a level and stretched by at most 1/0.7: 56 dB
+    # what a gain per channel leaves is 8 bits' rounding, of variance 1/12 of a level and stretched by at most
+    # 1/0.7: 56 dB
     assert first["psnr_foreground"] < 25 < 54 < first["psnr_gain"]
     assert result["lpips"] is None
     assert str(result["lpips_reason"]).startswith("alexnet")
     protocol = result["protocol"]
-    assert (protocol["split"], protocol["bits"], protocol["background"], protocol["frames"]) == ("dataset", "8-bit files", "white", 2)
+    assert (protocol["split"], protocol["bits"], protocol["background"], protocol["frames"]) == (
+        "dataset",
+        "8-bit files",
+        "white",
+        2,
+    )
 
 
 def test_the_datasets_own_pictures_are_perfect(dataset, capsys):
@@ -102,8 +116,20 @@ def test_normals_of_a_known_angle(dataset, tmp_path, capsys):
     for folder, angle in (("pred", 30.0), ("truth", 0.0)):
         (tmp_path / folder).mkdir(exist_ok=True)
         normal = [np.sin(np.radians(angle)), 0.0, np.cos(np.radians(angle))]
-        write_png(tmp_path / folder / f"{NAMES[0]}.png", np.broadcast_to((np.array(normal) + 1) / 2, (32, 32, 3)))
-    result = scores(capsys, "--pred", tmp_path / "pred", "--data", dataset, "--truth", tmp_path / "truth", "--layer", "normal")
+        write_png(
+            tmp_path / folder / f"{NAMES[0]}.png", np.broadcast_to((np.array(normal) + 1) / 2, (32, 32, 3))
+        )
+    result = scores(
+        capsys,
+        "--pred",
+        tmp_path / "pred",
+        "--data",
+        dataset,
+        "--truth",
+        tmp_path / "truth",
+        "--layer",
+        "normal",
+    )
     # a level of 8 bits is 2/255 of a unit vector, 0.45 degrees; half of it on each axis of both
     assert result["normal_angle"] == pytest.approx(30.0, abs=0.45)
     assert "psnr" not in result
@@ -119,7 +145,9 @@ def test_regions(dataset, predictions, capsys):
         write_png(regions / f"{name}.png", labels)
     result = scores(capsys, "--pred", predictions, "--data", dataset, "--regions", regions)
     assert set(result["regions"]) == {"face"}
-    ours, theirs = (read_image(folder / f"{NAMES[4]}.png", channels=3) for folder in (predictions, dataset / "images"))
+    ours, theirs = (
+        read_image(folder / f"{NAMES[4]}.png", channels=3) for folder in (predictions, dataset / "images")
+    )
     expected = -10 * np.log10(((ours - theirs)[10:20, 10:20].astype(float) ** 2).mean())
     assert result["frames"][NAMES[4]]["regions"]["face"]["psnr"] == pytest.approx(expected, abs=1e-4)
 
@@ -130,7 +158,9 @@ def test_lpips_with_weights_of_the_users(dataset, predictions, tmp_path, capsys)
     assert result["lpips"] > 0
     assert "lpips_reason" not in result
     assert result["protocol"]["lpips_net"].startswith("alex")
-    absent = scores(capsys, "--pred", predictions, "--data", dataset, "--lpips-weights", weights, "--lpips-net", "vgg")
+    absent = scores(
+        capsys, "--pred", predictions, "--data", dataset, "--lpips-weights", weights, "--lpips-net", "vgg"
+    )
     assert absent["lpips"] is None
     assert "vgg16" in absent["lpips_reason"]
 
@@ -144,14 +174,23 @@ def test_without_masks_the_foreground_is_null(dataset, predictions, capsys):
 
 MISTAKES = {
     "no dataset": (lambda root, pred: ["--data", root / "nowhere"], "nowhere: expected a dataset's folder"),
-    "no predictions": (lambda root, pred: ["--pred", root / "nowhere"], "nowhere: expected a folder of images"),
+    "no predictions": (
+        lambda root, pred: ["--pred", root / "nowhere"],
+        "nowhere: expected a folder of images",
+    ),
     "no truth": (lambda root, pred: ["--truth", root / "nowhere"], "nowhere: expected a folder of images"),
     "truth of other names": (lambda root, pred: ["--truth", root], "expected images, found none"),
     "no regions": (lambda root, pred: ["--regions", root / "nowhere"], "nowhere"),
     "no names of regions": (lambda root, pred: ["--regions", root / "images"], "parse.json"),
-    "no weights": (lambda root, pred: ["--lpips-weights", root / "nowhere"], "nowhere: expected a folder of LPIPS weights"),
+    "no weights": (
+        lambda root, pred: ["--lpips-weights", root / "nowhere"],
+        "nowhere: expected a folder of LPIPS weights",
+    ),
     "no true albedo": (lambda root, pred: ["--layer", "albedo"], "the dataset's true albedo, or --truth DIR"),
-    "no true normals": (lambda root, pred: ["--layer", "normal"], "the dataset's true normal, or --truth DIR"),
+    "no true normals": (
+        lambda root, pred: ["--layer", "normal"],
+        "the dataset's true normal, or --truth DIR",
+    ),
     "a bad split": (lambda root, pred: ["--split", "half"], "--split: expected"),
     "an empty split": (lambda root, pred: ["--split", "last:6"], "an empty part"),
 }

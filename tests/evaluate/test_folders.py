@@ -8,9 +8,9 @@ from data.damage import change_json
 from PIL import Image
 
 from samira_warp.data import load_pixels, open_listing
-from samira_warp.errors import UserError
 from samira_warp.evaluate.folders import find_comparisons, read_pair, read_pairs, read_region_names
-from samira_warp.images import read_image, resize_box, write_png
+from samira_warp.io.images import read_image, resize_box, write_png
+from samira_warp.support.errors import UserError
 
 NAMES = [f"{index:05d}_00" for index in range(6)]
 
@@ -48,7 +48,9 @@ def test_without_truth_the_splits_frames_are_compared(tiny_dataset, folder):
     for split, names in (("dataset", NAMES[4:]), ("train", NAMES[:4]), ("last:1", NAMES[5:])):
         found = find(open_listing(tiny_dataset, split=split), predictions)
         assert [comparison.frame.name for comparison in found] == names
-        assert [comparison.prediction for comparison in found] == [predictions / f"{name}.png" for name in names]
+        assert [comparison.prediction for comparison in found] == [
+            predictions / f"{name}.png" for name in names
+        ]
         assert {comparison.truth for comparison in found} == {None}
 
 
@@ -57,7 +59,10 @@ def test_with_truth_its_names_are_compared_whatever_the_split(listing, folder):
     (truth / "readme.txt").write_text("not an image")
     found = find(listing, folder("pred", NAMES), truth)
     assert [comparison.frame.name for comparison in found] == [NAMES[1], NAMES[4]]
-    assert [comparison.truth for comparison in found] == [truth / f"{NAMES[1]}.png", truth / f"{NAMES[4]}.png"]
+    assert [comparison.truth for comparison in found] == [
+        truth / f"{NAMES[1]}.png",
+        truth / f"{NAMES[4]}.png",
+    ]
 
 
 @pytest.mark.parametrize("suffix", [".jpg", ".jpeg"])
@@ -106,8 +111,12 @@ def test_alpha_is_laid_on_white(listing, folder):
 def test_normals_are_decoded(listing, folder):
     predictions, truth = folder("pred", NAMES), folder("truth", NAMES[4:5])
     pair = read_pair(find(listing, predictions, truth)[0], layer="normal")
-    np.testing.assert_allclose(pair.prediction.numpy(), 2 * read_image(predictions / f"{NAMES[4]}.png", channels=3) - 1, atol=1e-6)
-    np.testing.assert_allclose(pair.truth.numpy(), 2 * read_image(truth / f"{NAMES[4]}.png", channels=3) - 1, atol=1e-6)
+    np.testing.assert_allclose(
+        pair.prediction.numpy(), 2 * read_image(predictions / f"{NAMES[4]}.png", channels=3) - 1, atol=1e-6
+    )
+    np.testing.assert_allclose(
+        pair.truth.numpy(), 2 * read_image(truth / f"{NAMES[4]}.png", channels=3) - 1, atol=1e-6
+    )
 
 
 def test_labels_keep_their_values_at_another_size(listing, folder):

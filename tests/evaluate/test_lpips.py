@@ -1,4 +1,5 @@
-"""LPIPS against torchvision's layers written out, with random weights in the real files' layouts, and where weights are looked for."""
+"""LPIPS against torchvision's layers written out, with random weights in the real files' layouts, and where
+weights are looked for."""
 
 import importlib
 import sys
@@ -7,9 +8,9 @@ import pytest
 import torch
 from torch import nn
 
-from samira_warp.errors import UserError
 from samira_warp.evaluate import find_lpips
 from samira_warp.evaluate.lpips import SMALLEST_IMAGE
+from samira_warp.support.errors import UserError
 
 FILES = {"alex": ("alexnet-owt-7be5be79.pth", "alex.pth"), "vgg": ("vgg16-397923af.pth", "vgg.pth")}
 TAPS = {"alex": (1, 4, 7, 9, 11), "vgg": (3, 8, 15, 22, 29)}
@@ -21,11 +22,19 @@ def features(net):
     """torchvision's ``features``, layer by layer."""
     if net == "alex":
         return nn.Sequential(
-            *(nn.Conv2d(3, 64, kernel_size=11, stride=4, padding=2), nn.ReLU(), nn.MaxPool2d(kernel_size=3, stride=2)),
+            *(
+                nn.Conv2d(3, 64, kernel_size=11, stride=4, padding=2),
+                nn.ReLU(),
+                nn.MaxPool2d(kernel_size=3, stride=2),
+            ),
             *(nn.Conv2d(64, 192, kernel_size=5, padding=2), nn.ReLU(), nn.MaxPool2d(kernel_size=3, stride=2)),
             *(nn.Conv2d(192, 384, kernel_size=3, padding=1), nn.ReLU()),
             *(nn.Conv2d(384, 256, kernel_size=3, padding=1), nn.ReLU()),
-            *(nn.Conv2d(256, 256, kernel_size=3, padding=1), nn.ReLU(), nn.MaxPool2d(kernel_size=3, stride=2)),
+            *(
+                nn.Conv2d(256, 256, kernel_size=3, padding=1),
+                nn.ReLU(),
+                nn.MaxPool2d(kernel_size=3, stride=2),
+            ),
         )
     layers, channels = [], 3
     for width in VGG16:
@@ -52,17 +61,25 @@ class Written:
         self.heads = [torch.rand(1, width, 1, 1, generator=generator) for width in widths]
         backbone = {f"features.{key}": value for key, value in self.features.state_dict().items()}
         torch.save(backbone | {"classifier.1.weight": torch.zeros(2, 2)}, folder / FILES[net][0])
-        torch.save({f"lin{level}.model.1.weight": head for level, head in enumerate(self.heads)}, folder / FILES[net][1])
+        torch.save(
+            {f"lin{level}.model.1.weight": head for level, head in enumerate(self.heads)},
+            folder / FILES[net][1],
+        )
         self.folder = folder
 
     def distance(self, first, second):
         shift, scale = (torch.tensor(values)[:, None, None] for values in (SHIFT, SCALE))
-        first, second = (((image * 2 - 1).permute(2, 0, 1) - shift)[None] / scale for image in (first, second))
+        first, second = (
+            ((image * 2 - 1).permute(2, 0, 1) - shift)[None] / scale for image in (first, second)
+        )
         total, level = 0.0, 0
         for index, layer in enumerate(self.features[: self.taps[-1] + 1]):
             first, second = layer(first), layer(second)
             if index in self.taps:
-                units = [values / ((values**2).sum(dim=1, keepdim=True).sqrt() + 1e-10) for values in (first, second)]
+                units = [
+                    values / ((values**2).sum(dim=1, keepdim=True).sqrt() + 1e-10)
+                    for values in (first, second)
+                ]
                 weighted = nn.functional.conv2d((units[0] - units[1]) ** 2, self.heads[level])
                 total, level = total + weighted.mean(), level + 1
         return total
@@ -122,7 +139,10 @@ def test_the_gradient_is_finite_where_the_features_vanish(tmp_path):
     """Biases far below zero leave nothing at the taps."""
     alex = Written("alex", tmp_path)
     state = torch.load(tmp_path / FILES["alex"][0], weights_only=True)
-    torch.save({key: value - 100.0 if key.endswith("bias") else value for key, value in state.items()}, tmp_path / FILES["alex"][0])
+    torch.save(
+        {key: value - 100.0 if key.endswith("bias") else value for key, value in state.items()},
+        tmp_path / FILES["alex"][0],
+    )
     prediction = torch.rand(32, 32, 3, requires_grad=True)
     distance = find_lpips(alex.net, tmp_path)(prediction, torch.rand(32, 32, 3))
     distance.backward()
@@ -229,7 +249,9 @@ def damage(kind, path):
 
 
 @pytest.mark.parametrize("file", FILES["alex"])
-@pytest.mark.parametrize("kind", ["text", "empty", "code", "a missing key", "another shape", "numbers for tensors", "a list"])
+@pytest.mark.parametrize(
+    "kind", ["text", "empty", "code", "a missing key", "another shape", "numbers for tensors", "a list"]
+)
 def test_a_broken_file_is_named(alex, tmp_path, capsys, file, kind):
     for name in FILES["alex"]:
         (tmp_path / name).write_bytes((alex.folder / name).read_bytes())

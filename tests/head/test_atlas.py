@@ -10,7 +10,7 @@ from scipy.sparse.csgraph import connected_components
 from samira_warp.head.atlas import DILATION, SOFTENING, UvAtlas
 from samira_warp.head.regions import REGIONS, response_coverage, route_faces
 from samira_warp.head.template import read_template
-from samira_warp.kernels.uv_raster import rasterize_uv
+from samira_warp.kernels.mesh.uv_raster import rasterize_uv
 
 SIZE = 48
 
@@ -59,7 +59,9 @@ def test_faces_are_the_rasters(template, atlas):
 
 def test_dilation_copies_the_nearest_covered_texel(atlas, nearest):
     """By brute force over all pairs: valid is what lies within 2 rows and columns of a covered texel."""
-    texels = torch.stack(torch.meshgrid(torch.arange(SIZE), torch.arange(SIZE), indexing="ij"), dim=-1).view(-1, 2)
+    texels = torch.stack(torch.meshgrid(torch.arange(SIZE), torch.arange(SIZE), indexing="ij"), dim=-1).view(
+        -1, 2
+    )
     covered = texels[atlas.covered.flatten()]
     steps = (texels[:, None] - covered[None]).abs()
     assert torch.equal(atlas.valid.flatten(), (steps.amax(dim=2) <= DILATION).any(dim=1))
@@ -82,8 +84,12 @@ def test_positions_are_interpolated_vertices(device, template, atlas, nearest):
     positions = atlas.to(device).positions(vertices.to(device)).cpu()
     faces = covering_faces(atlas, nearest)
     weights = atlas.barycentrics.view(-1, 3)[nearest].double()
-    expected = (weights[..., None] * vertices.double()[torch.from_numpy(template.faces)[faces].long()]).sum(dim=2)
-    assert torch.allclose(positions.double()[atlas.valid], expected[atlas.valid], rtol=0, atol=2e-8)  # 0.1 m times 2^-24, a few times over
+    expected = (weights[..., None] * vertices.double()[torch.from_numpy(template.faces)[faces].long()]).sum(
+        dim=2
+    )
+    assert torch.allclose(
+        positions.double()[atlas.valid], expected[atlas.valid], rtol=0, atol=2e-8
+    )  # 0.1 m times 2^-24, a few times over
     assert not positions[~atlas.valid].any()
 
 
@@ -117,7 +123,9 @@ def test_positions_of_what_is_not_valid_do_not_spoil_the_gradient(atlas, templat
 
 
 def test_regions_are_the_faces(template, atlas, nearest):
-    expected = torch.where(atlas.valid, torch.from_numpy(route_faces(template))[covering_faces(atlas, nearest)], -1)
+    expected = torch.where(
+        atlas.valid, torch.from_numpy(route_faces(template))[covering_faces(atlas, nearest)], -1
+    )
     assert torch.equal(atlas.region.long(), expected)
     assert atlas.region.dtype == torch.int8
     assert len(atlas.region.unique()) > 7
@@ -133,7 +141,12 @@ def test_soft_masks_by_brute_force(template, atlas, nearest):
     region, chart, responds = atlas.region.tolist(), chart.tolist(), responds.tolist()
     expected = np.zeros((len(REGIONS), SIZE, SIZE))
     reach = range(-SOFTENING, SOFTENING + 1)
-    steps = [(i, j, 1 - np.hypot(i, j) / (SOFTENING + 1)) for i in reach for j in reach if np.hypot(i, j) <= SOFTENING + 1]
+    steps = [
+        (i, j, 1 - np.hypot(i, j) / (SOFTENING + 1))
+        for i in reach
+        for j in reach
+        if np.hypot(i, j) <= SOFTENING + 1
+    ]
     for row, column in zip(*np.nonzero(np.array(responds)), strict=True):
         for i, j, weight in steps:
             y, x = row + i, column + j
@@ -163,7 +176,11 @@ def test_without_masks_nothing_responds(template):
 
 def test_uv_of_a_texels_face_and_weights_is_its_centre(device, atlas):
     row, column = atlas.covered.nonzero().unbind(dim=1)
-    found = atlas.to(device).uv_of(atlas.face[row, column].to(device), atlas.barycentrics[row, column].to(device)).cpu()
+    found = (
+        atlas.to(device)
+        .uv_of(atlas.face[row, column].to(device), atlas.barycentrics[row, column].to(device))
+        .cpu()
+    )
     expected = torch.stack([(column + 0.5) / SIZE, 1 - (row + 0.5) / SIZE], dim=1)
     # Weights are areas over an area, of faces of a few texels: some 2^-24 * 48 texels.
     assert torch.allclose(found, expected, rtol=0, atol=2e-5)
@@ -179,14 +196,23 @@ def test_uv_of_corners(atlas, template):
 def test_to_moves_every_tensor(device, atlas):
     moved = atlas.to(device)
     tensors = [value for value in vars(moved).values() if isinstance(value, torch.Tensor)]
-    tensors += [value for table in (moved.position_table, moved.dilation_table) for value in vars(table).values() if torch.is_tensor(value)]
+    tensors += [
+        value
+        for table in (moved.position_table, moved.dilation_table)
+        for value in vars(table).values()
+        if torch.is_tensor(value)
+    ]
     assert len(tensors) == 8 + 2 * 5
     assert all(tensor.device.type == device.type for tensor in tensors)
 
 
 def test_two_builds_are_equal(template, atlas):
     again = UvAtlas.build(template, size=SIZE)
-    assert all(torch.equal(value, getattr(again, name)) for name, value in vars(atlas).items() if isinstance(value, torch.Tensor))
+    assert all(
+        torch.equal(value, getattr(again, name))
+        for name, value in vars(atlas).items()
+        if isinstance(value, torch.Tensor)
+    )
 
 
 @pytest.mark.parametrize("size", [1, 2, 3, 4, 5, 17])

@@ -1,4 +1,5 @@
-"""FLAME's own files, in every form in which they are found, and what is said where one of them is missing or broken."""
+"""FLAME's own files, in every form in which they are found, and what is said where one of them is missing or
+broken."""
 
 import itertools
 import pickle
@@ -19,12 +20,12 @@ from data.flame_files import (
     write_flame,
 )
 
-from samira_warp.errors import UserError
 from samira_warp.head import HeadModel, UvAtlas, read_template, save_template
 from samira_warp.head.flame import EYELIDS, FLAME_FACES, FLAME_IDENTITY, FLAME_VERTICES, read_flame, read_head
 from samira_warp.head.flame_companions import UV_FILES
 from samira_warp.head.regions import REGIONS, route_faces
 from samira_warp.head.teeth import LOWER_LIP, RING, TEETH_FACES, TEETH_VERTICES, UPPER_LIP
+from samira_warp.support.errors import UserError
 
 
 @pytest.fixture(scope="module")
@@ -59,8 +60,12 @@ def test_it_is_flame_with_teeth(flame, arrays):
     assert (flame.n_shape, flame.n_expression) == (300, N_EXPRESSION + 2)
     for name, key in (("v_template", "v_template"), ("posedirs", "posedirs"), ("weights", "weights")):
         np.testing.assert_array_equal(getattr(flame, name)[:FLAME_VERTICES], arrays[key].astype(np.float32))
-    np.testing.assert_array_equal(flame.shapedirs[:FLAME_VERTICES, :, : FLAME_IDENTITY + N_EXPRESSION], arrays["shapedirs"])
-    np.testing.assert_array_equal(flame.joint_regressor[:, :FLAME_VERTICES], arrays["J_regressor"].toarray().astype(np.float32))
+    np.testing.assert_array_equal(
+        flame.shapedirs[:FLAME_VERTICES, :, : FLAME_IDENTITY + N_EXPRESSION], arrays["shapedirs"]
+    )
+    np.testing.assert_array_equal(
+        flame.joint_regressor[:, :FLAME_VERTICES], arrays["J_regressor"].toarray().astype(np.float32)
+    )
     np.testing.assert_array_equal(flame.faces[:FLAME_FACES], arrays["f"])
     assert flame.parents.tolist() == [-1, 0, 1, 1, 1]
     vt, ft = flame_uvs()
@@ -133,9 +138,13 @@ def test_the_teeth_are_behind_the_lips_and_outward(flame, arrays):
     middle = (upper + lower) / 2
     np.testing.assert_allclose(teeth[:, :, 0], np.tile(middle[:, 0], (8, 1)), atol=1e-7)
     heights = (teeth[:, :, 1] - middle[:, 1].mean()) / gap
-    np.testing.assert_allclose(heights, np.tile([[2.1], [-2.1], [0.1], [-0.1], [2.1], [0.1], [-2.1], [-0.1]], (1, RING)), atol=1e-4)
+    np.testing.assert_allclose(
+        heights, np.tile([[2.1], [-2.1], [0.1], [-0.1], [2.1], [0.1], [-2.1], [-0.1]], (1, RING)), atol=1e-4
+    )
     depths = (middle[:, 2] - teeth[:, :, 2]) / gap
-    np.testing.assert_allclose(depths, np.tile([[1.5], [1.9], [1.5], [1.9], [2.5], [2.5], [2.9], [2.9]], (1, RING)), atol=1e-4)
+    np.testing.assert_allclose(
+        depths, np.tile([[1.5], [1.9], [1.5], [1.9], [2.5], [2.5], [2.9], [2.9]], (1, RING)), atol=1e-4
+    )
     a, b, c = (flame.v_template[flame.faces[FLAME_FACES:, corner]].astype(np.float64) for corner in range(3))
     normals = np.cross(b - a, c - a).reshape(6, -1, 3)
     faces_front, faces_down, faces_up = normals[[0, 3], :, 2], normals[2, :, 1], normals[5, :, 1]
@@ -147,14 +156,20 @@ def test_the_teeth_are_behind_the_lips_and_outward(flame, arrays):
 
 def test_the_teeth_move_with_their_jaw(flame, arrays):
     upper, lower = flame.masks["teeth_upper"], flame.masks["teeth_lower"]
-    assert np.array_equal(np.sort(np.concatenate([upper, lower])), np.arange(FLAME_VERTICES, FLAME_VERTICES + TEETH_VERTICES))
+    assert np.array_equal(
+        np.sort(np.concatenate([upper, lower])), np.arange(FLAME_VERTICES, FLAME_VERTICES + TEETH_VERTICES)
+    )
     np.testing.assert_array_equal(flame.weights[upper], np.tile(np.eye(5)[1], (60, 1)))
     np.testing.assert_array_equal(flame.weights[lower], np.tile(np.eye(5)[2], (60, 1)))
     assert not flame.joint_regressor[:, FLAME_VERTICES:].any()
     assert not flame.posedirs[FLAME_VERTICES:].any()
     assert not flame.shapedirs[FLAME_VERTICES:, :, FLAME_IDENTITY:].any()
-    lips = (arrays["shapedirs"][list(UPPER_LIP)] + arrays["shapedirs"][list(LOWER_LIP)])[:, :, :FLAME_IDENTITY] / 2
-    np.testing.assert_allclose(flame.shapedirs[FLAME_VERTICES:, :, :FLAME_IDENTITY], np.tile(lips, (8, 1, 1)), atol=1e-9)
+    lips = (arrays["shapedirs"][list(UPPER_LIP)] + arrays["shapedirs"][list(LOWER_LIP)])[
+        :, :, :FLAME_IDENTITY
+    ] / 2
+    np.testing.assert_allclose(
+        flame.shapedirs[FLAME_VERTICES:, :, :FLAME_IDENTITY], np.tile(lips, (8, 1, 1)), atol=1e-9
+    )
 
 
 def test_a_texel_of_the_teeth_means_one_place(flame):
@@ -203,7 +218,9 @@ def test_a_file_that_is_missing_is_named(folder, file, said):
 
 
 def test_no_flame_at_all(tmp_path):
-    assert "generic_model.pkl: expected FLAME's file (.pkl or .npz), found no such file" in refused(tmp_path / "generic_model.pkl")
+    assert "generic_model.pkl: expected FLAME's file (.pkl or .npz), found no such file" in refused(
+        tmp_path / "generic_model.pkl"
+    )
 
 
 def broken(folder, **changes):
@@ -224,7 +241,10 @@ FAULTS = {
         {"v_template": np.zeros((10, 3))},
         "v_template: expected FLAME's numbers of shape (5023, 3), found float64 of shape (10, 3)",
     ),
-    "identity alone": ({"shapedirs": np.zeros((5023, 3, 300), np.float32)}, "shapedirs: expected numbers of shape (5023, 3, 400)"),
+    "identity alone": (
+        {"shapedirs": np.zeros((5023, 3, 300), np.float32)},
+        "shapedirs: expected numbers of shape (5023, 3, 400)",
+    ),
     "NaN": ({"v_template": np.full((5023, 3), np.nan)}, "v_template: expected finite numbers"),
     "faces beyond the vertices": ({"f": np.full((9976, 3), 5023)}, "f: expected integers"),
     "other faces": ({"f": np.zeros((99, 3), int)}, "f: expected FLAME's numbers of shape (9976, 3)"),

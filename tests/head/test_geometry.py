@@ -3,7 +3,7 @@ import math
 import pytest
 import torch
 
-from samira_warp.head.geometry import face_areas, vertex_normals
+from samira_warp.geometry.mesh import face_areas, vertex_normals
 
 TETRAHEDRON = torch.tensor([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=torch.float64)
 OUTWARD = torch.tensor([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
@@ -12,10 +12,16 @@ OUTWARD = torch.tensor([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
 def test_a_corner_of_a_cube(device):
     """Areas 1/2, 1/2, 1/2 and sqrt(3)/2; normals weighted by area, by hand."""
     vertices, faces = TETRAHEDRON.to(device), OUTWARD.to(device)
-    assert torch.allclose(face_areas(vertices, faces).cpu(), torch.tensor([0.5, 0.5, 0.5, math.sqrt(3) / 2], dtype=torch.float64))
-    # Doubled areas times normals: -z, -y, -x, and (1, 1, 1) for the slanted face. Vertex 1 misses the face in x = 0.
+    assert torch.allclose(
+        face_areas(vertices, faces).cpu(),
+        torch.tensor([0.5, 0.5, 0.5, math.sqrt(3) / 2], dtype=torch.float64),
+    )
+    # Doubled areas times normals: -z, -y, -x, and (1, 1, 1) for the slanted face. Vertex 1 misses the face in
+    # x = 0.
     sums = torch.tensor([[-1.0, -1, -1], [1, 0, 0], [0, 1, 0], [0, 0, 1]], dtype=torch.float64)
-    assert torch.allclose(vertex_normals(vertices, faces).cpu(), torch.nn.functional.normalize(sums, dim=1), rtol=0, atol=1e-12)
+    assert torch.allclose(
+        vertex_normals(vertices, faces).cpu(), torch.nn.functional.normalize(sums, dim=1), rtol=0, atol=1e-12
+    )
 
 
 def test_turns_with_the_mesh_and_with_the_winding(generator):

@@ -29,7 +29,11 @@ def make_template(tmp_path):
         arrays = {key: value for key, value in tiny_template().items() if not key.startswith("mask_")}
         if faces is not None:
             arrays |= {"f": np.array(faces), "ft": np.array(faces)}
-        np.savez(tmp_path / "head.npz", **arrays, **{f"mask_{name}": np.array(ids, np.int32) for name, ids in masks.items()})
+        np.savez(
+            tmp_path / "head.npz",
+            **arrays,
+            **{f"mask_{name}": np.array(ids, np.int32) for name, ids in masks.items()},
+        )
         return read_template(tmp_path / "head.npz")
 
     return make
@@ -43,7 +47,9 @@ def test_ten_regions():
 @pytest.mark.parametrize("first", range(9))
 def test_priority_where_masks_overlap(make_template, first):
     """Vertex 0 is in a region's mask and in those of all that come later; vertex 1 only in the last one's."""
-    template = make_template({MASK_OF[name]: [0] for name in PRIORITY[first:-1]} | {"face": [0, 1]}, [[0, 0, 0], [1, 1, 1]])
+    template = make_template(
+        {MASK_OF[name]: [0] for name in PRIORITY[first:-1]} | {"face": [0, 1]}, [[0, 0, 0], [1, 1, 1]]
+    )
     assert [REGIONS[region] for region in route_vertices(template)[:2]] == [PRIORITY[first], "cheeks"]
     assert [REGIONS[region] for region in route_faces(template)] == [PRIORITY[first], "cheeks"]
 
@@ -67,7 +73,12 @@ def test_the_other_masks(make_template, mask, region):
 
 def test_vertices_in_no_mask_are_cheeks_and_respond_neutrally(make_template):
     template = make_template({"nose": [0, 1], "unknown": [2]}, [[0, 1, 2], [0, 2, 3], [2, 3, 4]])
-    assert [REGIONS[region] for region in route_vertices(template)[:4]] == ["nose", "nose", "cheeks", "cheeks"]
+    assert [REGIONS[region] for region in route_vertices(template)[:4]] == [
+        "nose",
+        "nose",
+        "cheeks",
+        "cheeks",
+    ]
     assert [REGIONS[region] for region in route_faces(template)] == ["nose", "cheeks", "cheeks"]
     assert response_coverage(template).tolist() == [True, False, False]
 
@@ -85,7 +96,10 @@ def test_brute_force_on_random_masks(make_template):
     masks = {mask: np.flatnonzero(random.random(300) < 0.15) for mask in MASK_OF.values()}
     template = make_template(masks)
     rank_of = [
-        next((rank for rank, name in enumerate(PRIORITY) if vertex in masks[MASK_OF[name]]), PRIORITY.index("cheeks"))
+        next(
+            (rank for rank, name in enumerate(PRIORITY) if vertex in masks[MASK_OF[name]]),
+            PRIORITY.index("cheeks"),
+        )
         for vertex in range(400)
     ]
     for face, region in zip(template.faces, route_faces(template), strict=True):
@@ -106,4 +120,8 @@ def test_the_real_head_has_every_region(subject):
     centres = template.v_template[template.faces].mean(axis=1)
     height = {name: centres[regions == index, 1].mean() for index, name in enumerate(REGIONS)}
     assert height["neck"] < height["lips"] < height["nose"] < height["left_eye"] < height["forehead"]
-    assert centres[regions == REGIONS.index("left_eye"), 0].mean() > 0 > centres[regions == REGIONS.index("right_eye"), 0].mean()
+    assert (
+        centres[regions == REGIONS.index("left_eye"), 0].mean()
+        > 0
+        > centres[regions == REGIONS.index("right_eye"), 0].mean()
+    )

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from data.tiny import N_EXPRESSION, N_SHAPE, tiny_template
 
-from samira_warp.errors import UserError
 from samira_warp.head.template import read_template, save_template
+from samira_warp.support.errors import UserError
 
 
 class Trap:
@@ -58,7 +58,13 @@ def test_other_dtypes_and_flames_root(arrays, read):
 
 
 def test_names_and_masks_are_optional(arrays, read):
-    template = read({key: value for key, value in arrays.items() if key != "expression_names" and not key.startswith("mask_")})
+    template = read(
+        {
+            key: value
+            for key, value in arrays.items()
+            if key != "expression_names" and not key.startswith("mask_")
+        }
+    )
     assert len(set(template.expression_names)) == N_EXPRESSION
     assert template.masks == {}
 
@@ -88,7 +94,18 @@ def test_hash_depends_on_every_value(arrays, read, key):
     assert read(arrays | {key: changed}).hash != before
 
 
-REQUIRED = ("v_template", "shapedirs", "n_shape", "posedirs", "J_regressor", "kintree_table", "weights", "f", "vt", "ft")
+REQUIRED = (
+    "v_template",
+    "shapedirs",
+    "n_shape",
+    "posedirs",
+    "J_regressor",
+    "kintree_table",
+    "weights",
+    "f",
+    "vt",
+    "ft",
+)
 
 
 @pytest.mark.parametrize("key", REQUIRED)
@@ -131,14 +148,18 @@ def test_numbers_that_are_not_finite(arrays, read, key, value):
 @pytest.mark.parametrize("low", [True, False])
 def test_an_index_out_of_range(arrays, read, key, beyond, low):
     arrays[key].flat[3] = -1 if low else len(arrays[beyond])
-    with pytest.raises(UserError, match=rf"{key}: expected integers from 0 to {len(arrays[beyond]) - 1}, found"):
+    with pytest.raises(
+        UserError, match=rf"{key}: expected integers from 0 to {len(arrays[beyond]) - 1}, found"
+    ):
         read(arrays)
 
 
 @pytest.mark.parametrize("n_shape", [-1, N_SHAPE + N_EXPRESSION + 1])
 def test_n_shape_out_of_range(arrays, read, n_shape):
     arrays["n_shape"] = np.int64(n_shape)
-    with pytest.raises(UserError, match=rf"n_shape: expected integers from 0 to {N_SHAPE + N_EXPRESSION}, found {n_shape}"):
+    with pytest.raises(
+        UserError, match=rf"n_shape: expected integers from 0 to {N_SHAPE + N_EXPRESSION}, found {n_shape}"
+    ):
         read(arrays)
 
 
@@ -232,7 +253,9 @@ def test_not_an_npz(arrays, tmp_path, content):
                 "text": b"v_template: 1 2 3",
                 "zip without arrays": b"PK\x05\x06" + bytes(18),
                 "truncated": whole[:middle],
-                "flipped": whole[:middle] + bytes(255 - byte for byte in whole[middle : middle + 64]) + whole[middle + 64 :],
+                "flipped": whole[:middle]
+                + bytes(255 - byte for byte in whole[middle : middle + 64])
+                + whole[middle + 64 :],
             }[content]
         )
     with pytest.raises(UserError, match=r"head\.npz"):

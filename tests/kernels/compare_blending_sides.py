@@ -1,14 +1,15 @@
-"""Run by test_blending in a process of its own: the kernels written for a GPU against those for a CPU, both on the CPU, on tiny scenes."""
+"""Run by test_blending in a process of its own: the kernels written for a GPU against those for a CPU, both
+on the CPU, on tiny scenes."""
 
 import torch
 import warp as wp
 
-from samira_warp.camera import Camera
-from samira_warp.kernels import blending_cpu, blending_cuda
-from samira_warp.kernels.projection import Projection, project
-from samira_warp.kernels.slots import GEOMETRY
-from samira_warp.kernels.splats import pack_splats
-from samira_warp.kernels.tiles import bin_tiles
+from samira_warp.geometry.camera import Camera
+from samira_warp.kernels.raster import blending_cpu, blending_cuda
+from samira_warp.kernels.raster.projection import Projection, project
+from samira_warp.kernels.raster.slots import GEOMETRY
+from samira_warp.kernels.raster.splats import pack_splats
+from samira_warp.kernels.raster.tiles import bin_tiles
 
 WIDTH, HEIGHT = 37, 20
 
@@ -16,14 +17,18 @@ WIDTH, HEIGHT = 37, 20
 def cloud(generator, count, spread, scale):
     """Ellipsoids in front of the camera, and the image's edge in the middle of a tile."""
     means = spread * torch.randn(count, 3, generator=generator) + torch.tensor([0.0, 0.0, 1.0])
-    quaternions, scales = torch.randn(count, 4, generator=generator), scale * torch.rand(count, 3, generator=generator)
+    quaternions, scales = (
+        torch.randn(count, 4, generator=generator),
+        scale * torch.rand(count, 3, generator=generator),
+    )
     opacities = torch.rand(count, generator=generator)
     camera = Camera(torch.eye(4), 60.0, 60.0, WIDTH / 2, HEIGHT / 2, WIDTH, HEIGHT)
     return project(means, quaternions, scales, opacities, camera), opacities
 
 
 def pile(count):
-    """Gaussians wider than the image, of alpha 0.5: after 13 every pixel has stopped, in the first batch or a later one."""
+    """Gaussians wider than the image, of alpha 0.5: after 13 every pixel has stopped, in the first batch or a
+    later one."""
     means2d, depths = torch.tensor([[20.0, 17.0]]).repeat(count, 1), torch.arange(count).float()
     conics = torch.tensor([[1e-12, 0.0, 1e-12]]).repeat(count, 1)
     return Projection(means2d, depths, conics, torch.ones(count, dtype=torch.bool)), torch.full((count,), 0.5)
@@ -34,10 +39,15 @@ def compare(generator, projection, opacities, channels, at_least):
     features = torch.randn(opacities.shape[0], channels, generator=generator)
     bins = bin_tiles(projection, opacities, width=WIDTH, height=HEIGHT)
     assert bins.tile_offsets.diff().max() >= at_least, "too few Gaussians in a tile"
-    gradients = (torch.randn(HEIGHT, WIDTH, channels, generator=generator), torch.randn(HEIGHT, WIDTH, generator=generator))
+    gradients = (
+        torch.randn(HEIGHT, WIDTH, channels, generator=generator),
+        torch.randn(HEIGHT, WIDTH, generator=generator),
+    )
     results = []
     for side in (blending_cpu, blending_cuda, blending_cuda):
-        splats = pack_splats(projection.means2d, projection.conics, opacities, features, bins, multiple=side.LANES)
+        splats = pack_splats(
+            projection.means2d, projection.conics, opacities, features, bins, multiple=side.LANES
+        )
         images = side.forward(splats, bins, channels, WIDTH, HEIGHT)
         slots = side.adjoint(splats, bins, *images, *gradients)
         written = slots.values[:, : GEOMETRY + channels]

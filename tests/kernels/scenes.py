@@ -4,14 +4,16 @@ import math
 
 import torch
 
-from samira_warp.camera import Camera
+from samira_warp.geometry.camera import Camera
 
 
 def turned_camera(device, width, height):
     """A metre from the origin, and a little to its side."""
     angle = 0.2
     pose = torch.eye(4)
-    pose[:3, :3] = torch.tensor([[math.cos(angle), 0, math.sin(angle)], [0, 1, 0], [-math.sin(angle), 0, math.cos(angle)]])
+    pose[:3, :3] = torch.tensor(
+        [[math.cos(angle), 0, math.sin(angle)], [0, 1, 0], [-math.sin(angle), 0, math.cos(angle)]]
+    )
     pose[:3, 3] = torch.tensor([0.02, -0.03, 1.0])
     return Camera(pose.to(device), 1.2 * width, 1.2 * width, width / 2, height / 2, width, height)
 
@@ -28,7 +30,8 @@ def cloud(generator, device, count=200, channels=4):
 
 
 def block(generator, device, count, *, extent=(0.3, 0.3), scale=0.03, opacity=(0.0, 1.0), channels=3):
-    """Gaussians about the point at one metre, up to ``extent`` metres to the sides and 0.5 to the back and front, for `straight_camera`."""
+    """Gaussians about the point at one metre, up to ``extent`` metres to the sides and 0.5 to the back and
+    front, for `straight_camera`."""
     place = 2 * torch.rand(count, 3, generator=generator) - 1
     means = place * torch.tensor([*extent, 0.5]) + torch.tensor([0.0, 0.0, 1.0])
     return _gaussians(generator, device, means, scale, opacity, channels)

@@ -1,11 +1,19 @@
 import pytest
 import torch
 
-from samira_warp.errors import UserError
-from samira_warp.kernels.barycentric import closest_barycentrics
-from samira_warp.reference.barycentric import closest_barycentrics as reference
+from samira_warp.kernels.mesh.barycentric import closest_barycentrics
+from samira_warp.reference.mesh.barycentric import closest_barycentrics as reference
+from samira_warp.support.errors import UserError
 
-REGIONS = {"corner a": "a", "corner b": "b", "corner c": "c", "edge ab": "ab", "edge bc": "bc", "edge ca": "ca", "interior": "abc"}
+REGIONS = {
+    "corner a": "a",
+    "corner b": "b",
+    "corner c": "c",
+    "edge ab": "ab",
+    "edge bc": "bc",
+    "edge ca": "ca",
+    "interior": "abc",
+}
 
 
 def make_triangles(generator, count):
@@ -18,7 +26,8 @@ def make_triangles(generator, count):
 
 
 def points_in_region(triangles, corners, generator):
-    """Points whose closest point is known to lie on ``corners``' corner, edge or interior, and that point's weights."""
+    """Points whose closest point is known to lie on ``corners``' corner, edge or interior, and that point's
+    weights."""
     count, uniform = len(triangles), {"generator": generator, "dtype": torch.float64}
     weights = torch.zeros(count, 3, dtype=torch.float64)
     for corner in corners:
@@ -44,7 +53,8 @@ def test_each_voronoi_region(device, generator, region):
     triangles = make_triangles(generator, 1000)
     points, expected = points_in_region(triangles, REGIONS[region], generator)
     found = closest_barycentrics(points.float().to(device), triangles.float().to(device)).cpu()
-    # Products of four lengths of up to 5, to 2^-24, over an area squared of at least (0.5 * 0.05 / 2)^2 in the worst triangle.
+    # Products of four lengths of up to 5, to 2^-24, over an area squared of at least (0.5 * 0.05 / 2)^2 in
+    # the worst triangle.
     assert torch.allclose(found.double(), expected, rtol=0, atol=2e-3)
     assert (found.double() - expected).abs().mean() < 2e-6
     away = [index for index, corner in enumerate("abc") if corner not in REGIONS[region]]
@@ -58,12 +68,20 @@ def test_nothing_of_the_triangle_is_closer(device, generator):
     points = 2 * torch.randn(400, 3, generator=generator, dtype=torch.float64)
     found = closest_barycentrics(points.float().to(device), triangles.float().to(device)).double().cpu()
     steps = 50
-    grid = torch.tensor([[i, j, steps - i - j] for i in range(steps + 1) for j in range(steps + 1 - i)], dtype=torch.float64) / steps
+    grid = (
+        torch.tensor(
+            [[i, j, steps - i - j] for i in range(steps + 1) for j in range(steps + 1 - i)],
+            dtype=torch.float64,
+        )
+        / steps
+    )
     sampled = torch.cdist(points[:, None], grid @ triangles)[:, 0].amin(dim=1)
     closest = distances(points, triangles, found)
     longest = (triangles - triangles.roll(1, dims=1)).norm(dim=2).amax(dim=1)
     assert bool((closest <= sampled + 1e-5).all())
-    assert bool((closest >= sampled - longest / steps).all()), "a sample lies within a step of every point of the triangle"
+    assert bool((closest >= sampled - longest / steps).all()), (
+        "a sample lies within a step of every point of the triangle"
+    )
     assert len((found > 0).int().matmul(torch.tensor([1, 2, 4], dtype=torch.int32)).unique()) == 7
 
 
@@ -73,7 +91,9 @@ def test_matches_the_twin(device, generator):
     found = closest_barycentrics(points.float().to(device), triangles.float().to(device)).double().cpu()
     expected = reference(points, triangles)
     assert (found - expected).abs().mean() < 2e-6
-    assert torch.allclose(distances(points, triangles, found), distances(points, triangles, expected), rtol=0, atol=1e-5)
+    assert torch.allclose(
+        distances(points, triangles, found), distances(points, triangles, expected), rtol=0, atol=1e-5
+    )
     assert bool((found >= 0).all())
     assert torch.allclose(found.sum(dim=1), torch.ones(len(found), dtype=torch.float64), rtol=0, atol=3e-7)
 
@@ -116,7 +136,9 @@ def test_degenerate_triangles_are_segments_and_points(device, generator, name):
     assert bool((found >= 0).all())
     assert torch.allclose(found.sum(dim=1), torch.ones(500, dtype=torch.float64), rtol=0, atol=3e-7)
     expected = reference(points, triangles)
-    assert torch.allclose(distances(points, triangles, found), distances(points, triangles, expected), rtol=0, atol=1e-5)
+    assert torch.allclose(
+        distances(points, triangles, found), distances(points, triangles, expected), rtol=0, atol=1e-5
+    )
 
 
 def test_needles_are_finite(device, generator):
@@ -142,7 +164,9 @@ def test_same_bits_for_any_threads_and_runs(device, generator):
 
 
 def test_no_points_and_wrong_arguments(device):
-    assert closest_barycentrics(torch.empty(0, 3, device=device), torch.empty(0, 3, 3, device=device)).shape == (0, 3)
+    assert closest_barycentrics(
+        torch.empty(0, 3, device=device), torch.empty(0, 3, 3, device=device)
+    ).shape == (0, 3)
     with pytest.raises(UserError, match="points"):
         closest_barycentrics(torch.zeros(2, 2, device=device), torch.zeros(2, 3, 3, device=device))
     with pytest.raises(UserError, match="triangles"):

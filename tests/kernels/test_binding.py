@@ -1,12 +1,12 @@
 import pytest
 import torch
 
-from samira_warp.errors import UserError
-from samira_warp.kernels.binding import BoundGaussians, FaceBinding, bind
-from samira_warp.kernels.triangle_frames import MeshTopology, TriangleFrames, triangle_frames
-from samira_warp.reference.binding import bind as reference
-from samira_warp.reference.binding import quaternion_product, rotation_to_quaternion
-from samira_warp.reference.triangle_frames import triangle_frames as reference_frames
+from samira_warp.kernels.mesh.binding import BoundGaussians, FaceBinding, bind
+from samira_warp.kernels.mesh.triangle_frames import MeshTopology, TriangleFrames, triangle_frames
+from samira_warp.reference.mesh.binding import bind as reference
+from samira_warp.reference.mesh.binding import quaternion_product, rotation_to_quaternion
+from samira_warp.reference.mesh.triangle_frames import triangle_frames as reference_frames
+from samira_warp.support.errors import UserError
 
 INPUTS = ("means", "quaternions", "scales", "normals")
 
@@ -23,10 +23,20 @@ def quaternion_to_rotation(q):
 
 
 def make_frames(generator, device, faces):
-    """Random rotations, among them quarter and half turns about the axes, where a quaternion's largest component changes."""
+    """Random rotations, among them quarter and half turns about the axes, where a quaternion's largest
+    component changes."""
     q = torch.randn(faces, 4, generator=generator, dtype=torch.float64)
     special = torch.tensor(
-        [[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1], [1, 1, 0, 0], [0, 1, 1, 0], [1, 1, 1, 1], [1, 1, 1, -1]]
+        [
+            [1.0, 0, 0, 0],
+            [0, 1, 0, 0],
+            [0, 0, 1, 0],
+            [0, 0, 0, 1],
+            [1, 1, 0, 0],
+            [0, 1, 1, 0],
+            [1, 1, 1, 1],
+            [1, 1, 1, -1],
+        ]
     )
     q[: len(special)] = special[:faces]
     rotation = quaternion_to_rotation(q).float()
@@ -49,7 +59,9 @@ def make_case(generator, device, count=2000, faces=150):
 
 
 def make_weights(generator, device, count):
-    return BoundGaussians(*(torch.randn(count, size, generator=generator).to(device) for size in (3, 4, 3, 3)))
+    return BoundGaussians(
+        *(torch.randn(count, size, generator=generator).to(device) for size in (3, 4, 3, 3))
+    )
 
 
 def with_gradients(function, gaussians, binding, frames, weights, dtype=torch.float32):
@@ -78,7 +90,9 @@ def test_matches_the_twin(device, generator):
     assert torch.allclose(found.means.double(), expected.means, rtol=0, atol=3e-6)
     assert torch.allclose(found.scales.double(), expected.scales, rtol=3e-7)
     assert torch.allclose(found.normals.double(), expected.normals, rtol=0, atol=1e-6)
-    assert torch.allclose(aligned(found.quaternions.double(), expected.quaternions), expected.quaternions, rtol=0, atol=2e-6)
+    assert torch.allclose(
+        aligned(found.quaternions.double(), expected.quaternions), expected.quaternions, rtol=0, atol=2e-6
+    )
 
 
 def test_the_rotations_compose(device, generator):
@@ -98,14 +112,20 @@ def test_gradients_match_the_twin(device, generator):
     weights = make_weights(generator, device, 2000)
     found, grads = with_gradients(bind, gaussians, binding, frames, weights)
     # The twin's q' may have the other sign: its weight takes that sign too.
-    twin = reference(*(tensor.double() for tensor in gaussians), binding, TriangleFrames(*(part.double() for part in frames)))
+    twin = reference(
+        *(tensor.double() for tensor in gaussians),
+        binding,
+        TriangleFrames(*(part.double() for part in frames)),
+    )
     sign = (found.quaternions.double() * twin.quaternions).sum(dim=1, keepdim=True).sign()
     weights = weights._replace(quaternions=weights.quaternions.double() * sign)
     _, expected = with_gradients(reference, gaussians, binding, frames, weights, torch.float64)
     expected = [*expected[:4], tangent(expected[4], frames.rotation.double()), *expected[5:]]
     for name, one, other in zip((*INPUTS, *TriangleFrames._fields), grads, expected, strict=True):
         assert (one.double() - other).norm() < 3e-6 * other.norm(), name
-        assert torch.nn.functional.cosine_similarity(one.double().flatten(), other.flatten(), dim=0) > 1 - 1e-10, name
+        assert (
+            torch.nn.functional.cosine_similarity(one.double().flatten(), other.flatten(), dim=0) > 1 - 1e-10
+        ), name
     assert not any(grad[-2:].any() for grad in grads[4:]), "faces without Gaussians have no gradient"
 
 
@@ -113,7 +133,9 @@ def test_gradients_match_the_twin(device, generator):
 def test_gradient_of_each_output_to_the_vertices(device, generator, output):
     """Through the frames to the mesh, where only the rotation's tangential gradient can arrive."""
     corners = torch.randn(90, 3, generator=generator).view(30, 3, 3)
-    corners[:, 2] += 2 * torch.nn.functional.normalize(torch.linalg.cross(corners[:, 1] - corners[:, 0], torch.ones(30, 3)), dim=1)
+    corners[:, 2] += 2 * torch.nn.functional.normalize(
+        torch.linalg.cross(corners[:, 1] - corners[:, 0], torch.ones(30, 3)), dim=1
+    )
     vertices = corners.view(-1, 3).to(device)
     topology = MeshTopology.build(torch.arange(90, device=device).view(30, 3), 90)
     binding = FaceBinding.build(torch.randint(30, (300,), generator=generator).to(device), 30)
@@ -125,25 +147,38 @@ def test_gradient_of_each_output_to_the_vertices(device, generator, output):
     if output == "quaternions":
         expected = aligned(expected, found.detach().double())
     weight = torch.randn(found.shape, generator=generator).to(device)
-    (grad,), (exact_grad,) = torch.autograd.grad(found, leaf, weight), torch.autograd.grad(expected, exact, weight.double())
+    (grad,), (exact_grad,) = (
+        torch.autograd.grad(found, leaf, weight),
+        torch.autograd.grad(expected, exact, weight.double()),
+    )
     assert (grad.double() - exact_grad).norm() < 2e-5 * exact_grad.norm()
-    assert torch.nn.functional.cosine_similarity(grad.double().flatten(), exact_grad.flatten(), dim=0) > 1 - 1e-9
+    assert (
+        torch.nn.functional.cosine_similarity(grad.double().flatten(), exact_grad.flatten(), dim=0) > 1 - 1e-9
+    )
 
 
 def test_twin_by_finite_differences(generator):
     gaussians, binding, frames = make_case(generator, "cpu", count=5, faces=4)
     inputs = [tensor.double().requires_grad_() for tensor in (*gaussians, *frames)]
     # Away from quarter and half turns, where Shepperd's choice changes the sign of q'.
-    inputs[4] = quaternion_to_rotation(torch.randn(4, 4, generator=generator, dtype=torch.float64)).requires_grad_()
-    assert torch.autograd.gradcheck(lambda *inputs: tuple(reference(*inputs[:4], binding, TriangleFrames(*inputs[4:]))), inputs)
+    inputs[4] = quaternion_to_rotation(
+        torch.randn(4, 4, generator=generator, dtype=torch.float64)
+    ).requires_grad_()
+    assert torch.autograd.gradcheck(
+        lambda *inputs: tuple(reference(*inputs[:4], binding, TriangleFrames(*inputs[4:]))), inputs
+    )
 
 
 def test_twin_quaternions_by_matrices(generator):
-    p, q = torch.nn.functional.normalize(torch.randn(2, 500, 4, generator=generator, dtype=torch.float64), dim=-1)
+    p, q = torch.nn.functional.normalize(
+        torch.randn(2, 500, 4, generator=generator, dtype=torch.float64), dim=-1
+    )
     product = quaternion_to_rotation(quaternion_product(p, q))
     assert torch.allclose(product, quaternion_to_rotation(p) @ quaternion_to_rotation(q), rtol=0, atol=1e-12)
     rotation = torch.cat([quaternion_to_rotation(p), make_frames(generator, "cpu", 8).rotation.double()])
-    assert torch.allclose(quaternion_to_rotation(rotation_to_quaternion(rotation)), rotation, rtol=0, atol=1e-7)
+    assert torch.allclose(
+        quaternion_to_rotation(rotation_to_quaternion(rotation)), rotation, rtol=0, atol=1e-7
+    )
 
 
 def test_rotations_gradient_is_tangential(device, generator):
@@ -159,7 +194,9 @@ def test_follows_rigid_motion(device, generator):
     shift = torch.tensor([0.3, -1.0, 2.0], dtype=torch.float64, device=device)
     still = bind(*gaussians, binding, frames)
     moved_frames = TriangleFrames(
-        (turn @ frames.rotation.double()).float(), (frames.translation.double() @ turn.T + shift).float(), frames.scale
+        (turn @ frames.rotation.double()).float(),
+        (frames.translation.double() @ turn.T + shift).float(),
+        frames.scale,
     )
     moved = bind(*gaussians, binding, moved_frames)
     assert torch.allclose(moved.means.double(), still.means.double() @ turn.T + shift, rtol=0, atol=1e-5)
@@ -179,12 +216,15 @@ def test_lengths_of_quaternions_and_normals_do_not_matter(device, generator):
 
 
 def test_zero_quaternion_and_zero_normal(device, generator):
-    """A zero quaternion is the identity, a zero normal stays zero; neither has a gradient, and the rest is not disturbed."""
+    """A zero quaternion is the identity, a zero normal stays zero; neither has a gradient, and the rest is
+    not disturbed."""
     gaussians, binding, frames = make_case(generator, device, count=40, faces=10)
     gaussians[1][0], gaussians[3][1] = 0, 0
     bound, grads = with_gradients(bind, gaussians, binding, frames, make_weights(generator, device, 40))
     expected = frames.rotation[binding.faces[0].long()].double()
-    assert torch.allclose(quaternion_to_rotation(bound.quaternions[:1].double())[0], expected, rtol=0, atol=1e-6)
+    assert torch.allclose(
+        quaternion_to_rotation(bound.quaternions[:1].double())[0], expected, rtol=0, atol=1e-6
+    )
     assert not bound.normals[1].any()
     assert not grads[1][0].any()
     assert not grads[3][1].any()
@@ -195,7 +235,11 @@ def test_order_of_gaussians_does_not_matter(device, generator):
     gaussians, binding, frames = make_case(generator, device)
     order = torch.randperm(2000, generator=generator).to(device)
     bound = bind(*gaussians, binding, frames)
-    shuffled = bind(*(tensor[order] for tensor in gaussians), FaceBinding.build(binding.faces[order], binding.face_count), frames)
+    shuffled = bind(
+        *(tensor[order] for tensor in gaussians),
+        FaceBinding.build(binding.faces[order], binding.face_count),
+        frames,
+    )
     assert all(torch.equal(one[order], other) for one, other in zip(bound, shuffled, strict=True))
 
 

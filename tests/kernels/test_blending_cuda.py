@@ -1,4 +1,5 @@
-"""The GPU's side: every kernel compiles for it anywhere; where there is one, streams, graphs, and the CPU's results."""
+"""The GPU's side: every kernel compiles for it anywhere; where there is one, streams, graphs, and the CPU's
+results."""
 
 import importlib
 import pkgutil
@@ -9,7 +10,7 @@ import warp as wp
 from kernels.scenes import cloud, turned_camera
 
 from samira_warp import kernels
-from samira_warp.kernels.rasterizer import rasterize
+from samira_warp.kernels.raster.rasterizer import rasterize
 
 WIDTH, HEIGHT = 70, 45
 CAPACITY = 8000
@@ -20,7 +21,9 @@ def cuda_modules():
     """Modules with kernels for a GPU; native snippets for a CPU are in modules of that name."""
     names = [info.name for info in pkgutil.iter_modules(kernels.__path__) if not info.name.endswith("_cpu")]
     modules = [importlib.import_module(f"{kernels.__name__}.{name}") for name in names]
-    return [module for module in modules if any(isinstance(value, wp.Kernel) for value in vars(module).values())]
+    return [
+        module for module in modules if any(isinstance(value, wp.Kernel) for value in vars(module).values())
+    ]
 
 
 @pytest.mark.parametrize("architecture", ARCHITECTURES)
@@ -42,11 +45,14 @@ def cuda():
 
 
 class Job:
-    """Rasterising and its gradients, without a word to the host: inputs that stay where they are, and a fixed capacity."""
+    """Rasterising and its gradients, without a word to the host: inputs that stay where they are, and a fixed
+    capacity."""
 
     def __init__(self, seed, device, channels=4):
         generator = torch.Generator().manual_seed(seed)
-        self.inputs = [tensor.requires_grad_() for tensor in cloud(generator, device, count=400, channels=channels)]
+        self.inputs = [
+            tensor.requires_grad_() for tensor in cloud(generator, device, count=400, channels=channels)
+        ]
         self.camera = turned_camera(device, WIDTH, HEIGHT)
         shapes = ((HEIGHT, WIDTH, channels), (HEIGHT, WIDTH))
         self.weights = [torch.randn(shape, generator=generator).to(device) for shape in shapes]
@@ -84,14 +90,16 @@ def test_matches_the_cpu(cuda, channels):
     found = Job(0, cuda, channels).run()
     expected = Job(0, torch.device("cpu"), channels).run()
     for image, truth in zip(found[:2], expected[:2], strict=True):
-        # the two exponentials, and conics that round apart, err by some 1e-6 of a weight; a pair that this carries over alpha = 1/255
-        # changes a pixel by up to that times a feature (unit normal: below 5)
+        # the two exponentials, and conics that round apart, err by some 1e-6 of a weight; a pair that this
+        # carries over alpha = 1/255 changes a pixel by up to that times a feature (unit normal: below 5)
         error = (image.cpu() - truth).abs()
         assert (error > 5e-5).float().mean() < 2e-3
         assert error.max() < 5.0 / 255.0 * 2.0
     for gradient, truth in zip(found[2:], expected[2:], strict=True):
         assert (gradient.cpu() - truth).norm() < 2e-3 * truth.norm()
-        assert torch.nn.functional.cosine_similarity(gradient.cpu().flatten(), truth.flatten(), dim=0) > 1 - 1e-5
+        assert (
+            torch.nn.functional.cosine_similarity(gradient.cpu().flatten(), truth.flatten(), dim=0) > 1 - 1e-5
+        )
 
 
 @pytest.mark.gpu
@@ -136,7 +144,8 @@ def test_works_in_two_streams_at_once(cuda):
 
 @pytest.mark.gpu
 def test_replays_as_a_graph(cuda):
-    """Captured with one scene, replayed with others: the number of intersections may change under the capacity."""
+    """Captured with one scene, replayed with others: the number of intersections may change under the
+    capacity."""
     job = Job(5, cuda)
     warm_up(job)
     graph = torch.cuda.CUDAGraph()

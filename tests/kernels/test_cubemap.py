@@ -3,17 +3,25 @@ import math
 import pytest
 import torch
 
-from samira_warp.errors import UserError
-from samira_warp.kernels.cubemap import face_axes, texel_directions, texel_index, texel_points, texel_solid_angles
-from samira_warp.kernels.cubemap_lookup import sample_cubemap, sample_mips
+from samira_warp.kernels.cubemap.layout import (
+    face_axes,
+    texel_directions,
+    texel_index,
+    texel_points,
+    texel_solid_angles,
+)
+from samira_warp.kernels.cubemap.lookup import sample_cubemap, sample_mips
 from samira_warp.light.equirect import cube_to_equirect, equirect_to_cube
-from samira_warp.reference import cubemap as reference
+from samira_warp.reference.cubemap import layout as reference
+from samira_warp.support.errors import UserError
 
 
 def random_directions(count, generator):
     """Directions of any length, a third of them near the cube's edges and corners."""
     directions = torch.randn(count, 3, generator=generator, dtype=torch.float64)
-    near = torch.sign(directions) * (1 + 0.05 * torch.randn(count, 3, generator=generator, dtype=torch.float64))
+    near = torch.sign(directions) * (
+        1 + 0.05 * torch.randn(count, 3, generator=generator, dtype=torch.float64)
+    )
     return torch.where((torch.arange(count) % 3 == 0)[:, None], near, directions)
 
 
@@ -24,7 +32,9 @@ def test_texel_index_inverts_texel_points(size):
 
 @pytest.mark.parametrize("size", [1, 2, 7, 64])
 def test_solid_angles_cover_the_sphere(size):
-    assert 6 * texel_solid_angles(size, dtype=torch.float64).sum().item() == pytest.approx(4 * math.pi, rel=1e-12)
+    assert 6 * texel_solid_angles(size, dtype=torch.float64).sum().item() == pytest.approx(
+        4 * math.pi, rel=1e-12
+    )
 
 
 def test_solid_angle_is_the_integral_of_the_inverse_cube():
@@ -37,7 +47,9 @@ def test_solid_angle_is_the_integral_of_the_inverse_cube():
 
 def test_faces_are_opengls():
     # The OpenGL specification's table, read at s = t = 1/4 of each face: (major, sc, tc).
-    expected = torch.tensor([[1, 0.5, 0.5], [-1, 0.5, -0.5], [-0.5, 1, -0.5], [-0.5, -1, 0.5], [-0.5, 0.5, 1], [0.5, 0.5, -1]])
+    expected = torch.tensor(
+        [[1, 0.5, 0.5], [-1, 0.5, -0.5], [-0.5, 1, -0.5], [-0.5, -1, 0.5], [-0.5, 0.5, 1], [0.5, 0.5, -1]]
+    )
     axes = face_axes().float()
     assert torch.equal(axes[:, 2] - 0.5 * axes[:, 0] - 0.5 * axes[:, 1], expected)
 
@@ -58,7 +70,9 @@ def test_lookup_matches_the_reference(device, generator, sizes, channels):
     levels = (torch.rand(2000, **options) * (len(sizes) + 1) - 1).requires_grad_()
     upstream = torch.randn(2000, channels, **options)
     expected = reference.sample_mips(tuple(mips), directions, levels)
-    expected_grads = torch.autograd.grad(expected, [*mips, directions, levels], upstream, materialize_grads=True, allow_unused=True)
+    expected_grads = torch.autograd.grad(
+        expected, [*mips, directions, levels], upstream, materialize_grads=True, allow_unused=True
+    )
     inputs = [tensor.detach().float().to(device).requires_grad_() for tensor in [*mips, directions, levels]]
     result = sample_mips(tuple(inputs[:-2]), *inputs[-2:])
     grads = torch.autograd.grad(result, inputs, upstream.float().to(device))
@@ -69,10 +83,15 @@ def test_lookup_matches_the_reference(device, generator, sizes, channels):
 
 
 def test_reference_gradients_are_those_of_finite_differences(generator):
-    mips = tuple(torch.rand(6, size, size, 2, generator=generator, dtype=torch.float64, requires_grad=True) for size in (4, 2))
+    mips = tuple(
+        torch.rand(6, size, size, 2, generator=generator, dtype=torch.float64, requires_grad=True)
+        for size in (4, 2)
+    )
     directions = random_directions(6, generator).requires_grad_()
     levels = torch.tensor([0.1, 0.4, 0.6, 0.9, -0.5, 1.5], dtype=torch.float64, requires_grad=True)
-    assert torch.autograd.gradcheck(lambda *x: reference.sample_mips(x[:2], *x[2:]), (*mips, directions, levels))
+    assert torch.autograd.gradcheck(
+        lambda *x: reference.sample_mips(x[:2], *x[2:]), (*mips, directions, levels)
+    )
 
 
 def test_level_gradient_is_one_sided_at_the_ends_and_zero_beyond(device):
@@ -98,8 +117,11 @@ def test_values_agree_across_every_seam_and_corner(device, generator, size):
                 one, other = edge.clone(), edge.clone()
                 one[:, axis - 1] *= 1 + 1e-5
                 other[:, axis - 2] *= 1 + 1e-5
-                # 1e-5 of a face is 4e-5 of a texel, on either side, and a texel differs by at most 1 from the next.
-                assert torch.allclose(sample_mips(mips, one, levels), sample_mips(mips, other, levels), atol=2e-4)
+                # 1e-5 of a face is 4e-5 of a texel, on either side, and a texel differs by at most 1 from the
+                # next.
+                assert torch.allclose(
+                    sample_mips(mips, one, levels), sample_mips(mips, other, levels), atol=2e-4
+                )
 
 
 def test_a_corner_is_the_mean_of_its_three_texels(device, generator):
@@ -111,7 +133,8 @@ def test_a_corner_is_the_mean_of_its_three_texels(device, generator):
 
 
 def is_adjoint(operator, source, generator):
-    """Whether <A x, y> = <x, A' y> to 1e-5 of |A x| |y|, for the linear operator that autograd makes A' of."""
+    """Whether <A x, y> = <x, A' y> to 1e-5 of |A x| |y|, for the linear operator that autograd makes A'
+    of."""
     source.requires_grad_()
     result = operator(source)
     upstream = torch.randn(result.shape, generator=generator).to(result)
@@ -127,14 +150,24 @@ def test_every_linear_operator_has_its_exact_adjoint(device, generator):
     assert is_adjoint(lambda x: sample_cubemap(x, directions), cubemap, generator)
     chain = torch.randn(6 * (64 + 16), 3, generator=generator).to(device)
     assert is_adjoint(
-        lambda x: sample_mips((x[: 6 * 64].view(6, 8, 8, 3), x[6 * 64 :].view(6, 4, 4, 3)), directions, levels), chain, generator
+        lambda x: sample_mips(
+            (x[: 6 * 64].view(6, 8, 8, 3), x[6 * 64 :].view(6, 4, 4, 3)), directions, levels
+        ),
+        chain,
+        generator,
     )
-    assert is_adjoint(lambda x: equirect_to_cube(x, size=8, rotate=30.0), torch.randn(16, 32, 3, generator=generator).to(device), generator)
+    assert is_adjoint(
+        lambda x: equirect_to_cube(x, size=8, rotate=30.0),
+        torch.randn(16, 32, 3, generator=generator).to(device),
+        generator,
+    )
     assert is_adjoint(lambda x: cube_to_equirect(x, height=12), cubemap, generator)
 
 
 def test_same_bits_for_any_threads_run_and_pass(device, generator, use_threads):
-    mips = tuple(torch.rand(6, size, size, 3, generator=generator).to(device).requires_grad_() for size in (16, 8))
+    mips = tuple(
+        torch.rand(6, size, size, 3, generator=generator).to(device).requires_grad_() for size in (16, 8)
+    )
     directions = random_directions(20000, generator).float().to(device).requires_grad_()
     levels = torch.rand(20000, generator=generator).to(device).requires_grad_()
     upstream = torch.randn(20000, 3, generator=generator).to(device)
@@ -170,7 +203,11 @@ def test_degenerate_directions(device):
 
 @pytest.mark.parametrize(
     ("cubemap", "directions"),
-    [(torch.zeros(5, 4, 4, 3), torch.ones(2, 3)), (torch.zeros(6, 4, 3, 3), torch.ones(2, 3)), (torch.zeros(6, 4, 4, 3), torch.ones(2, 2))],
+    [
+        (torch.zeros(5, 4, 4, 3), torch.ones(2, 3)),
+        (torch.zeros(6, 4, 3, 3), torch.ones(2, 3)),
+        (torch.zeros(6, 4, 4, 3), torch.ones(2, 2)),
+    ],
 )
 def test_wrong_shapes_are_refused(cubemap, directions):
     with pytest.raises(UserError):

@@ -3,11 +3,11 @@ import math
 import pytest
 import torch
 
-from samira_warp.errors import UserError
-from samira_warp.kernels.cubemap import texel_index, texel_points
-from samira_warp.kernels.cubemap_filter import CHANNELS_MAX, Lobe, _sum_over_texels, irradiance, prefilter
-from samira_warp.kernels.cubemap_lookup import sample_cubemap
-from samira_warp.reference import filtering as reference
+from samira_warp.kernels.cubemap.filter import CHANNELS_MAX, Lobe, _sum_over_texels, irradiance, prefilter
+from samira_warp.kernels.cubemap.layout import texel_index, texel_points
+from samira_warp.kernels.cubemap.lookup import sample_cubemap
+from samira_warp.reference.cubemap import filter as reference
+from samira_warp.support.errors import UserError
 
 LADDER = ((0.25, 16), (0.5, 8), (1.0, 8))
 
@@ -22,7 +22,7 @@ QUARTER_TURNS = {
 def weights(request, monkeypatch):
     """Both ways of a filter: with weights that are kept, as in training, and as for large maps."""
     if request.param == "made anew":
-        monkeypatch.setattr("samira_warp.kernels.cubemap_filter._CACHED_WEIGHTS", 0)
+        monkeypatch.setattr("samira_warp.kernels.cubemap.filter._CACHED_WEIGHTS", 0)
     return request.param
 
 
@@ -39,7 +39,10 @@ def radiance(request, generator):
 
 
 def test_filters_match_brute_force(device, radiance, weights):
-    results = prefilter(radiance.float().to(device), ladder=LADDER)[1:], (irradiance(radiance.float().to(device)),)
+    results = (
+        prefilter(radiance.float().to(device), ladder=LADDER)[1:],
+        (irradiance(radiance.float().to(device)),),
+    )
     expected = reference.prefilter(radiance, ladder=LADDER)[1:], (reference.irradiance(radiance),)
     for result, wanted in zip(sum(results, ()), sum(expected, ()), strict=True):
         # 6144 float32 terms: a few ulps of the peak, a hundredth of the 1e-3 that is asked for.
@@ -65,7 +68,9 @@ def test_adjoint(device, generator, weights):
         upstream = torch.randn(result.shape, generator=generator).to(device)
         (adjoint,) = torch.autograd.grad(result, base, upstream, retain_graph=True)
         forward = (result.double() * upstream.double()).sum()
-        assert abs(forward - (base.double() * adjoint.double()).sum()) <= 1e-5 * result.norm() * upstream.norm()
+        assert (
+            abs(forward - (base.double() * adjoint.double()).sum()) <= 1e-5 * result.norm() * upstream.norm()
+        )
 
 
 def test_blocks_are_the_whole(device, generator, monkeypatch):
@@ -79,10 +84,10 @@ def test_blocks_are_the_whole(device, generator, monkeypatch):
         return result, torch.autograd.grad(result, inner, upstream)[0]
 
     whole = run()
-    monkeypatch.setattr("samira_warp.kernels.cubemap_filter._CACHED_WEIGHTS", 0)
-    monkeypatch.setattr("samira_warp.kernels.cubemap_filter._is_fused", lambda *_: False)
-    monkeypatch.setattr("samira_warp.kernels.cubemap_filter._BLOCK_WEIGHTS", 1 << 13)
-    monkeypatch.setattr("samira_warp.kernels.cubemap_filter._BLOCK_WIDTH", 100)
+    monkeypatch.setattr("samira_warp.kernels.cubemap.filter._CACHED_WEIGHTS", 0)
+    monkeypatch.setattr("samira_warp.kernels.cubemap.filter._is_fused", lambda *_: False)
+    monkeypatch.setattr("samira_warp.kernels.cubemap.filter._BLOCK_WEIGHTS", 1 << 13)
+    monkeypatch.setattr("samira_warp.kernels.cubemap.filter._BLOCK_WIDTH", 100)
     for a, b in zip(whole, run(), strict=True):
         # Sums of 6144 terms in another order.
         assert torch.allclose(a, b, rtol=2e-5, atol=1e-7)
@@ -108,7 +113,8 @@ def test_white_furnace(device, size, weights):
 
 
 def lobe_integral(roughness):
-    """The integral of D max(n . l, 0) over the sphere, with (n . h)^2 = (1 + c) / 2 over c in [0, 1], in closed form with q = a + b c."""
+    """The integral of D max(n . l, 0) over the sphere, with (n . h)^2 = (1 + c) / 2 over c in [0, 1], in
+    closed form with q = a + b c."""
     squared = roughness**4
     a, b = (squared + 1) / 2, (squared - 1) / 2
     return 2 * squared * (0.5 if b == 0 else (math.log((a + b) / a) + a / (a + b) - 1) / b**2)
@@ -116,9 +122,12 @@ def lobe_integral(roughness):
 
 @pytest.mark.parametrize("roughness", [0.25, 0.5, 0.75, 1.0])
 def test_weights_sum_to_the_analytic_integral(device, roughness, weights):
-    """What a normalised filter's furnace can't see: areas, lobe width and horizon are right before normalisation."""
+    """What a normalised filter's furnace can't see: areas, lobe width and horizon are right before
+    normalisation."""
     alpha = roughness * roughness
-    reference_sums = reference.lobe_weights(torch.zeros(6, 64, 64, 1, dtype=torch.float64), roughness, 4).sum(dim=1)
+    reference_sums = reference.lobe_weights(torch.zeros(6, 64, 64, 1, dtype=torch.float64), roughness, 4).sum(
+        dim=1
+    )
     parts = torch.zeros(8, 6, 6 * 64 * 64 // 8, device=device)
     # The kernels' weights are D / D(1), with D(1) = 1 / (pi alpha^2).
     sums = _sum_over_texels(parts, 64, Lobe(4, alpha, normalised=True))[1].cpu() / (math.pi * alpha**2)
@@ -139,7 +148,9 @@ def test_quarter_turns_permute_faces(device, generator, weights, axis):
     directions = torch.randn(1000, 3, generator=generator)
     seen = sample_cubemap(turned(base), directions.to(device))
     assert torch.allclose(seen, sample_cubemap(base, (directions @ turn.T.float()).to(device)), atol=1e-5)
-    for result, wanted in zip(prefilter(turned(base), ladder=LADDER), prefilter(base, ladder=LADDER), strict=True):
+    for result, wanted in zip(
+        prefilter(turned(base), ladder=LADDER), prefilter(base, ladder=LADDER), strict=True
+    ):
         assert torch.allclose(result, turned(wanted), atol=1e-5)
     assert torch.allclose(irradiance(turned(base)), turned(irradiance(base)), atol=1e-5)
 
@@ -159,8 +170,11 @@ def test_same_bits_every_time(device, generator, weights):
 
 
 def test_a_large_map_has_the_same_bits_for_any_number_of_threads(generator, monkeypatch, use_threads):
-    monkeypatch.setattr("samira_warp.kernels.cubemap_filter._CACHED_WEIGHTS", 0)
-    base, upstream = torch.rand(6, 32, 32, 3, generator=generator).requires_grad_(), torch.rand(6, 16, 16, 3, generator=generator)
+    monkeypatch.setattr("samira_warp.kernels.cubemap.filter._CACHED_WEIGHTS", 0)
+    base, upstream = (
+        torch.rand(6, 32, 32, 3, generator=generator).requires_grad_(),
+        torch.rand(6, 16, 16, 3, generator=generator),
+    )
     results = []
     for count in (1, 2):
         use_threads(count)
@@ -171,7 +185,9 @@ def test_a_large_map_has_the_same_bits_for_any_number_of_threads(generator, monk
 
 def test_as_many_channels_as_there_may_be(generator, weights):
     base = torch.rand(6, 8, 8, CHANNELS_MAX, generator=generator)
-    assert torch.allclose(irradiance(base, size=4), reference.irradiance(base.double(), size=4).float(), rtol=1e-4)
+    assert torch.allclose(
+        irradiance(base, size=4), reference.irradiance(base.double(), size=4).float(), rtol=1e-4
+    )
 
 
 def test_bad_arguments_are_refused():

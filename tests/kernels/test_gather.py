@@ -1,9 +1,9 @@
 import pytest
 import torch
 
-from samira_warp.errors import UserError
-from samira_warp.kernels.gather import GatherTable, bilinear_table, gather
-from samira_warp.reference.gather import gather as reference
+from samira_warp.kernels.gathering.gather import GatherTable, bilinear_table, gather
+from samira_warp.reference.gathering.gather import gather as reference
+from samira_warp.support.errors import UserError
 
 
 def make_table(generator, device, rows=5000, entries=3, sources=700):
@@ -22,8 +22,12 @@ def test_matches_the_twin_and_its_gradient(device, generator, entries, channels)
     weights = torch.randn(table.rows, channels, generator=generator).to(device)
     exact = values.detach().double().requires_grad_()
     found, expected = gather(values, table), reference(exact, table)
-    (grad,), (exact_grad,) = torch.autograd.grad(found, values, weights), torch.autograd.grad(expected, exact, weights.double())
-    # A sum of up to 4 terms of up to about 16, each rounded by 2^-24; about 30 of them in a source's gradient.
+    (grad,), (exact_grad,) = (
+        torch.autograd.grad(found, values, weights),
+        torch.autograd.grad(expected, exact, weights.double()),
+    )
+    # A sum of up to 4 terms of up to about 16, each rounded by 2^-24; about 30 of them in a source's
+    # gradient.
     assert torch.allclose(found.double(), expected, rtol=0, atol=1e-5)
     assert torch.allclose(grad.double(), exact_grad, rtol=0, atol=1e-4)
     assert (grad.double() - exact_grad).norm() < 1e-6 * exact_grad.norm()
@@ -64,7 +68,10 @@ def test_strided_values_and_gradients(device, generator):
     strided, packed = values.T.requires_grad_(), values.T.contiguous().requires_grad_()
     one, two = gather(strided, table), gather(packed, table)
     assert torch.equal(one, two)
-    assert torch.equal(torch.autograd.grad(one, strided, weights.T)[0], torch.autograd.grad(two, packed, weights.T.contiguous())[0])
+    assert torch.equal(
+        torch.autograd.grad(one, strided, weights.T)[0],
+        torch.autograd.grad(two, packed, weights.T.contiguous())[0],
+    )
 
 
 def test_same_bits_for_any_threads_and_runs(device, generator):
@@ -87,7 +94,9 @@ def test_same_bits_for_any_threads_and_runs(device, generator):
 @pytest.mark.parametrize(("rows", "entries", "channels"), [(0, 3, 2), (4, 0, 2), (4, 3, 0)])
 def test_nothing_to_gather(device, rows, entries, channels):
     table = GatherTable.build(
-        torch.zeros(rows, entries, dtype=torch.int64, device=device), torch.ones(rows, entries, device=device), sources=5
+        torch.zeros(rows, entries, dtype=torch.int64, device=device),
+        torch.ones(rows, entries, device=device),
+        sources=5,
     )
     values = torch.ones(5, channels, device=device, requires_grad=True)
     result = gather(values, table)
@@ -105,7 +114,11 @@ def test_bilinear_table_is_grid_sample(device, generator, width, height):
     uv = 1.4 * torch.rand(500, 2, generator=generator, dtype=torch.float64) - 0.2
     grid = torch.stack([2 * uv[:, 0] - 1, 1 - 2 * uv[:, 1]], dim=1)[None, None]
     expected = torch.nn.functional.grid_sample(
-        image.double().permute(2, 0, 1)[None], grid, mode="bilinear", padding_mode="border", align_corners=False
+        image.double().permute(2, 0, 1)[None],
+        grid,
+        mode="bilinear",
+        padding_mode="border",
+        align_corners=False,
     )[0, :, 0].T
     table = bilinear_table(uv.float().to(device), width=width, height=height)
     found = gather(image.view(-1, 3).to(device), table)
@@ -119,7 +132,9 @@ def test_texel_centres_give_the_texels(device):
     row, column = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
     uv = torch.stack([(column + 0.5) / width, 1 - (row + 0.5) / height], dim=-1).view(-1, 2).to(device)
     values = torch.arange(24.0, device=device)[:, None]
-    assert torch.allclose(gather(values, bilinear_table(uv, width=width, height=height)), values, rtol=0, atol=1e-5)
+    assert torch.allclose(
+        gather(values, bilinear_table(uv, width=width, height=height)), values, rtol=0, atol=1e-5
+    )
 
 
 def test_wrong_arguments_are_a_users_error(device):

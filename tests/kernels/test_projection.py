@@ -3,12 +3,12 @@ import math
 import pytest
 import torch
 
-from samira_warp.camera import Camera
-from samira_warp.constants import ALPHA_MIN, NEAR_PLANE
-from samira_warp.errors import UserError
-from samira_warp.kernels.projection import project
-from samira_warp.reference.projection import least_sigma
-from samira_warp.reference.projection import project as reference_project
+from samira_warp.geometry.camera import Camera
+from samira_warp.kernels.raster.projection import project
+from samira_warp.reference.raster.projection import least_sigma
+from samira_warp.reference.raster.projection import project as reference_project
+from samira_warp.support.constants import ALPHA_MIN, NEAR_PLANE
+from samira_warp.support.errors import UserError
 
 COUNT = 400
 
@@ -17,7 +17,9 @@ def make_camera(device, width=120, height=90):
     """A camera that is turned, moved and off-centre, so that no term of the projection vanishes."""
     angle = 0.3
     pose = torch.eye(4)
-    pose[:3, :3] = torch.tensor([[math.cos(angle), 0, math.sin(angle)], [0, 1, 0], [-math.sin(angle), 0, math.cos(angle)]])
+    pose[:3, :3] = torch.tensor(
+        [[math.cos(angle), 0, math.sin(angle)], [0, 1, 0], [-math.sin(angle), 0, math.cos(angle)]]
+    )
     pose[:3, 3] = torch.tensor([0.05, -0.1, 1.2])
     return Camera(pose.to(device), 150.0, 130.0, 0.45 * width, 0.55 * height, width, height)
 
@@ -39,12 +41,14 @@ def test_values_match_the_twin(device, generator):
     found = project(*gaussians, camera)
     expected = reference_project(*(tensor.double() for tensor in gaussians), camera)
     both = found.visible & expected.visible
-    # the kernel's ellipse has a margin of 1e-3 + 1e-4 sigma: it may see a Gaussian that the twin just misses, never the reverse
+    # the kernel's ellipse has a margin of 1e-3 + 1e-4 sigma: it may see a Gaussian that the twin just misses,
+    # never the reverse
     assert not (expected.visible & ~found.visible).any()
     assert (found.visible & ~expected.visible).sum() <= 2
     assert both.sum() > COUNT / 3
     assert (~both).sum() > COUNT / 20
-    # float32 rounds 2^-24 relative per operation; some twenty operations, and a factor ten for the conics' products of covariances
+    # float32 rounds 2^-24 relative per operation; some twenty operations, and a factor ten for the conics'
+    # products of covariances
     assert relative(found.means2d[both], expected.means2d[both]) < 1e-6
     assert relative(found.depths[both], expected.depths[both]) < 1e-6
     assert relative(found.conics[both], expected.conics[both]) < 1e-5
@@ -64,12 +68,18 @@ def test_gradients_match_the_twin(device, generator):
     for function, dtype in ((project, torch.float32), (reference_project, torch.float64)):
         inputs = [tensor.to(dtype).requires_grad_() for tensor in gaussians[:3]]
         projection = function(*inputs, gaussians[3].to(dtype), camera)
-        loss = sum((result * weight.to(dtype)).sum() for result, weight in zip(projection[:3], weights, strict=True))
+        loss = sum(
+            (result * weight.to(dtype)).sum() for result, weight in zip(projection[:3], weights, strict=True)
+        )
         results.append(torch.autograd.grad(loss, inputs))
     for found, expected in zip(*results, strict=True):
-        # inverse scales of up to a hundredfold cancel in the chain through K; single terms missing would show as 0.1 and more
+        # inverse scales of up to a hundredfold cancel in the chain through K; single terms missing would show
+        # as 0.1 and more
         assert relative(found, expected) < 1e-4
-        assert torch.nn.functional.cosine_similarity(found.double().flatten(), expected.flatten(), dim=0) > 1 - 1e-8
+        assert (
+            torch.nn.functional.cosine_similarity(found.double().flatten(), expected.flatten(), dim=0)
+            > 1 - 1e-8
+        )
 
 
 def test_gradients_match_finite_differences(generator):
@@ -84,7 +94,18 @@ def test_gradients_match_finite_differences(generator):
 
 @pytest.mark.parametrize(
     ("field", "value"),
-    [(0, math.nan), (0, math.inf), (0, 1e30), (1, math.nan), (1, 0.0), (2, math.nan), (2, math.inf), (2, 1e30), (3, math.nan), (3, 0.0)],
+    [
+        (0, math.nan),
+        (0, math.inf),
+        (0, 1e30),
+        (1, math.nan),
+        (1, 0.0),
+        (2, math.nan),
+        (2, math.inf),
+        (2, 1e30),
+        (3, math.nan),
+        (3, 0.0),
+    ],
 )
 def test_unusable_gaussians_are_culled_without_a_trace(device, generator, field, value):
     gaussians, camera = make_gaussians(generator, device, count=20, spread=0.05), make_camera(device)
@@ -110,14 +131,21 @@ def test_depth_decides_at_the_near_plane(device):
     depths = torch.tensor([-1.0, 0.0, NEAR_PLANE, NEAR_PLANE * 1.01, 1.0], device=device)
     means = torch.stack([torch.zeros_like(depths), torch.zeros_like(depths), depths], dim=-1)
     quaternions = torch.tensor([[1.0, 0, 0, 0]], device=device).expand(5, 4)
-    visible = project(means, quaternions, torch.full((5, 3), 1e-3, device=device), torch.ones(5, device=device), camera).visible
+    visible = project(
+        means, quaternions, torch.full((5, 3), 1e-3, device=device), torch.ones(5, device=device), camera
+    ).visible
     assert visible.tolist() == [False, False, False, True, True]
 
 
 def test_zero_scale_is_a_low_pass_disc(device):
     camera = Camera(torch.eye(4, device=device), 50.0, 50.0, 16.0, 16.0, 32, 32)
-    means, scales = torch.tensor([[0.0, 0, 1]], device=device), torch.zeros(1, 3, device=device, requires_grad=True)
-    projection = project(means, torch.tensor([[1.0, 0, 0, 0]], device=device), scales, torch.ones(1, device=device), camera)
+    means, scales = (
+        torch.tensor([[0.0, 0, 1]], device=device),
+        torch.zeros(1, 3, device=device, requires_grad=True),
+    )
+    projection = project(
+        means, torch.tensor([[1.0, 0, 0, 0]], device=device), scales, torch.ones(1, device=device), camera
+    )
     torch.testing.assert_close(projection.conics.cpu(), torch.tensor([[1 / 0.3, 0.0, 1 / 0.3]]))
     assert (torch.autograd.grad(projection.conics.sum(), scales)[0] == 0).all()
 
@@ -126,12 +154,19 @@ def test_visible_means_an_alpha_in_the_image(device, generator):
     """Over random scenes: whoever reaches ALPHA_MIN at a pixel centre is visible."""
     camera = make_camera(device, width=24, height=18)
     gaussians = make_gaussians(generator, device, count=4000, spread=0.3)
-    everywhere = Camera(camera.world_to_camera, camera.fx, camera.fy, camera.cx + 1000, camera.cy + 1000, 2024, 2018)
+    everywhere = Camera(
+        camera.world_to_camera, camera.fx, camera.fy, camera.cx + 1000, camera.cy + 1000, 2024, 2018
+    )
     wide = project(*(tensor.double().float() for tensor in gaussians), everywhere)
     y, x = torch.meshgrid(torch.arange(18), torch.arange(24), indexing="ij")
     pixels = torch.stack([x.flatten(), y.flatten()], dim=-1).to(device).double() + 1000.5
-    sigma = least_sigma(wide.means2d.double()[:, None], wide.conics.double()[:, None], torch.cat([pixels, pixels], dim=-1)[None])
-    # slopes near the border are clamped differently in the wider image: compare where neither clamps, well inside both
+    sigma = least_sigma(
+        wide.means2d.double()[:, None],
+        wide.conics.double()[:, None],
+        torch.cat([pixels, pixels], dim=-1)[None],
+    )
+    # slopes near the border are clamped differently in the wider image: compare where neither clamps, well
+    # inside both
     seen = wide.visible & (sigma.amin(dim=1) < torch.log(gaussians[3].double() / ALPHA_MIN) - 1e-2)
     point = gaussians[0] @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
     slope = point[:, :2] / point[:, 2:]

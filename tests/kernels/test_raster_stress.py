@@ -8,19 +8,25 @@ import pytest
 import torch
 from kernels.scenes import block, straight_camera
 
-from samira_warp.constants import NEAR_PLANE
-from samira_warp.kernels.projection import project
-from samira_warp.kernels.rasterizer import rasterize
-from samira_warp.kernels.tiles import bin_tiles
-from samira_warp.reference import blending_plain
-from samira_warp.reference.rasterizer import rasterize as reference_rasterize
+from samira_warp.kernels.plain import blending as blending_plain
+from samira_warp.kernels.raster.projection import project
+from samira_warp.kernels.raster.rasterizer import rasterize
+from samira_warp.kernels.raster.tiles import bin_tiles
+from samira_warp.reference.raster.rasterizer import rasterize as reference_rasterize
+from samira_warp.support.constants import NEAR_PLANE
 
 CHANNELS = 3
 
 
 def one_gaussian(device, depth=1.0, scale=0.05, opacity=0.5):
     """An ellipsoid on the camera's axis, askew."""
-    values = ([0.0, 0.0, depth], [0.8, 0.3, -0.4, 0.6], [scale, 1.7 * scale, 0.6 * scale], opacity, [1.0, -2.0, 0.5])
+    values = (
+        [0.0, 0.0, depth],
+        [0.8, 0.3, -0.4, 0.6],
+        [scale, 1.7 * scale, 0.6 * scale],
+        opacity,
+        [1.0, -2.0, 0.5],
+    )
     return [torch.tensor(value, device=device)[None] for value in values]
 
 
@@ -41,16 +47,24 @@ def with_gradients(function, scene, camera, weights):
 
 
 def assert_matches_the_twin(scene, camera, weights, groups=(slice(None),)):
-    """The images, and the gradients of each group of Gaussians by itself: a large one would hide a small one's error."""
+    """The images, and the gradients of each group of Gaussians by itself: a large one would hide a small
+    one's error."""
     images, gradients = with_gradients(rasterize, scene, camera, weights)
-    expected, truths = with_gradients(reference_rasterize, [tensor.double() for tensor in scene], camera, weights)
+    expected, truths = with_gradients(
+        reference_rasterize, [tensor.double() for tensor in scene], camera, weights
+    )
     assert expected[1].max() > 0.2
     for image, truth in zip(images, expected, strict=True):
-        # a pair that flips at alpha = 1/255 changes a pixel by at most that, times a feature of 4; otherwise float32 rounds
+        # a pair that flips at alpha = 1/255 changes a pixel by at most that, times a feature of 4; otherwise
+        # float32 rounds
         assert ((image - truth).abs() > 5e-5).float().mean() < 5e-3
         assert (image - truth).abs().max() < 0.02
     for group in groups:
-        for gradient, truth in zip((gradient[group].double() for gradient in gradients), (truth[group] for truth in truths), strict=True):
+        for gradient, truth in zip(
+            (gradient[group].double() for gradient in gradients),
+            (truth[group] for truth in truths),
+            strict=True,
+        ):
             # flipped pairs again: 1/255 of a pixel's gradient. Where the truth is 0, so is ours
             assert (gradient - truth).norm() <= 3e-3 * truth.norm()
 
@@ -72,7 +86,9 @@ def test_unusable_gaussians_leave_no_trace_all_at_once(device, generator):
     weights = make_weights(generator, camera)
     broken = joined(*(one_gaussian(device, **kind) for kind in UNUSABLE.values()))
     # first, between and last: wherever they stand in the input
-    mixed = joined(broken, [tensor[:150] for tensor in healthy], broken, [tensor[150:] for tensor in healthy], broken)
+    mixed = joined(
+        broken, [tensor[:150] for tensor in healthy], broken, [tensor[150:] for tensor in healthy], broken
+    )
     count = len(UNUSABLE)
     kept = torch.cat([torch.arange(150) + count, torch.arange(150) + 2 * count + 150]).to(device)
     images, gradients = with_gradients(rasterize, healthy, camera, weights)
@@ -99,9 +115,13 @@ def test_unusable_gaussians_leave_no_trace_all_at_once(device, generator):
 )
 def test_extreme_gaussians_match_the_twin(device, generator, kind):
     # in front of the others, among them and behind them
-    extreme = [one_gaussian(device, **{**kind, "depth": kind.get("depth", depth)}) for depth in (0.4, 1.0, 1.8)]
+    extreme = [
+        one_gaussian(device, **{**kind, "depth": kind.get("depth", depth)}) for depth in (0.4, 1.0, 1.8)
+    ]
     scene, camera = joined(*extreme, block(generator, device, 100)), straight_camera(device, 45, 38)
-    assert_matches_the_twin(scene, camera, make_weights(generator, camera), groups=(slice(0, 3), slice(3, None)))
+    assert_matches_the_twin(
+        scene, camera, make_weights(generator, camera), groups=(slice(0, 3), slice(3, None))
+    )
 
 
 @pytest.mark.parametrize(("width", "height"), [(1, 1), (1, 33), (33, 1), (4096, 16), (16, 4096)])
@@ -137,7 +157,9 @@ def test_a_hundred_thousand_in_one_tile(generator):
 def test_a_permutation_changes_nothing_but_the_order_of_equal_depths(device, generator):
     camera = straight_camera(device, 70, 50)
     scene = block(generator, device, 400)
-    scene[0][:, 2] = 0.6 + 0.1 * torch.randint(8, (400,), generator=generator).to(device)  # eight depths, some fifty Gaussians each
+    scene[0][:, 2] = 0.6 + 0.1 * torch.randint(8, (400,), generator=generator).to(
+        device
+    )  # eight depths, some fifty Gaussians each
     weights = make_weights(generator, camera)
     shuffle = torch.randperm(400, generator=generator).to(device)
     # by depth again, but with depths shuffled against each other: equal ones keep their order
@@ -145,7 +167,11 @@ def test_a_permutation_changes_nothing_but_the_order_of_equal_depths(device, gen
     within = torch.cat([(scene[0][:, 2] == depth).nonzero()[:, 0] for depth in groups])
     results = {
         name: with_gradients(rasterize, [tensor[order] for tensor in scene], camera, weights)
-        for name, order in (("as is", torch.arange(400, device=device)), ("within", within), ("shuffled", shuffle))
+        for name, order in (
+            ("as is", torch.arange(400, device=device)),
+            ("within", within),
+            ("shuffled", shuffle),
+        )
     }
     for one, other in zip(results["as is"][0], results["within"][0], strict=True):
         assert torch.equal(one, other)
@@ -155,7 +181,9 @@ def test_a_permutation_changes_nothing_but_the_order_of_equal_depths(device, gen
 
     scene[0][:, 2] += 1e-4 * torch.arange(400, device=device)  # no two alike: now any permutation will do
     images, gradients = with_gradients(rasterize, scene, camera, weights)
-    shuffled_images, shuffled_gradients = with_gradients(rasterize, [tensor[shuffle] for tensor in scene], camera, weights)
+    shuffled_images, shuffled_gradients = with_gradients(
+        rasterize, [tensor[shuffle] for tensor in scene], camera, weights
+    )
     for one, other in zip(images, shuffled_images, strict=True):
         assert torch.equal(one, other)
     for one, other in zip(gradients, shuffled_gradients, strict=True):
@@ -183,7 +211,7 @@ import resource
 import torch
 from samira_warp.bench.raster import GBUFFER_CHANNELS
 from samira_warp.bench.scene import make_scene
-from samira_warp.kernels.rasterizer import rasterize
+from samira_warp.kernels.raster.rasterizer import rasterize
 
 scene = make_scene(1_000_000, 1024, torch.device("cpu"))
 leaves = [scene.means, scene.quaternions, scene.scales, scene.opacities, scene.features(GBUFFER_CHANNELS)]

@@ -4,14 +4,17 @@ import pytest
 import torch
 from kernels.scenes import cloud, turned_camera
 
-from samira_warp.kernels.rasterizer import rasterize
-from samira_warp.reference.rasterizer import rasterize as reference_rasterize
+from samira_warp.kernels.raster.rasterizer import rasterize
+from samira_warp.reference.raster.rasterizer import rasterize as reference_rasterize
 
 
 @pytest.mark.parametrize(("width", "height"), [(48, 32), (37, 41), (1, 1)])
 def test_matches_the_twin(device, generator, width, height):
     scene, camera = cloud(generator, device), turned_camera(device, width, height)
-    weights = [torch.randn(height, width, 4, generator=generator).to(device), torch.randn(height, width, generator=generator).to(device)]
+    weights = [
+        torch.randn(height, width, 4, generator=generator).to(device),
+        torch.randn(height, width, generator=generator).to(device),
+    ]
     inputs = [tensor.clone().requires_grad_() for tensor in scene]
     found = rasterize(*inputs, camera)
     gradients = torch.autograd.grad(found[:2], inputs, weights)
@@ -19,12 +22,16 @@ def test_matches_the_twin(device, generator, width, height):
     expected = reference_rasterize(*doubles, camera)[:2]
     truths = torch.autograd.grad(expected, doubles, [weight.double() for weight in weights])
     for image, truth in zip(found[:2], expected, strict=True):
-        # a pair that flips at alpha = 1/255 changes a pixel by at most that, times a feature; see test_blending
+        # a pair that flips at alpha = 1/255 changes a pixel by at most that, times a feature; see
+        # test_blending
         assert ((image - truth).abs() > 5e-5).float().mean() < 5e-3
         assert (image - truth).abs().max() < 0.04
     for gradient, truth in zip(gradients, truths, strict=True):
         assert (gradient.double() - truth).norm() < 3e-3 * truth.norm()
-        assert torch.nn.functional.cosine_similarity(gradient.double().flatten(), truth.flatten(), dim=0) > 1 - 1e-5
+        assert (
+            torch.nn.functional.cosine_similarity(gradient.double().flatten(), truth.flatten(), dim=0)
+            > 1 - 1e-5
+        )
 
 
 def test_capacity_does_not_change_the_picture(device, generator):
@@ -33,7 +40,13 @@ def test_capacity_does_not_change_the_picture(device, generator):
     for capacity in (None, 5000):
         inputs = [tensor.clone().requires_grad_() for tensor in scene]
         found = rasterize(*inputs, camera, capacity=capacity)
-        results.append((found.features, found.alpha, *torch.autograd.grad(found.features.square().sum() + found.alpha.sum(), inputs)))
+        results.append(
+            (
+                found.features,
+                found.alpha,
+                *torch.autograd.grad(found.features.square().sum() + found.alpha.sum(), inputs),
+            )
+        )
     for one, other in zip(*results, strict=True):
         assert torch.equal(one, other)
 

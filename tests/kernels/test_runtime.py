@@ -13,7 +13,9 @@ from samira_warp.kernels.runtime import launch, launch_range
 
 
 @wp.kernel(enable_backward=False)
-def _affine(first: wp.int32, x: wp.array[wp.vec2], scale: wp.vec2, offset: wp.float32, y: wp.array2d[wp.float32]) -> None:
+def _affine(
+    first: wp.int32, x: wp.array[wp.vec2], scale: wp.vec2, offset: wp.float32, y: wp.array2d[wp.float32]
+) -> None:
     i = first + wp.tid()
     y[i, 0] = scale[0] * x[i][0] + offset
     y[i, 1] = scale[1] * x[i][1] + offset
@@ -42,7 +44,8 @@ def _scaled(scale: wp.vec2, y: wp.array[wp.vec2]) -> None:
 
 
 def test_a_launch_leaves_its_arguments_alone(device):
-    """A vector that a caller keeps, and that the launch was recorded with, still holds what it held after other launches."""
+    """A vector that a caller keeps, and that the launch was recorded with, still holds what it held after
+    other launches."""
     kept, y = wp.vec2(3.0, 5.0), torch.zeros(2, 2, device=device)
     launch(_scaled, 2, kept, y)
     launch(_scaled, 2, wp.vec2(7.0, 7.0), y)
@@ -93,8 +96,8 @@ def test_many_threads_may_begin_at_once():
     done = run_python(
         """
         import threading, torch
-        from samira_warp.camera import Camera
-        from samira_warp.kernels.rasterizer import rasterize
+        from samira_warp.geometry.camera import Camera
+        from samira_warp.kernels.raster.rasterizer import rasterize
 
         camera = Camera(torch.eye(4), 40.0, 40.0, 16.0, 16.0, 32, 32)
         means = torch.tensor([[0.0, 0.0, 1.0], [0.1, 0.1, 2.0]])
@@ -121,9 +124,9 @@ def test_a_forked_process_goes_on():
     done = run_python(
         """
         import os, torch, warp as wp
-        from samira_warp.kernels.splats import GRAIN
-        from samira_warp.kernels.projection import project
-        from samira_warp.camera import Camera
+        from samira_warp.kernels.raster.splats import GRAIN
+        from samira_warp.kernels.raster.projection import project
+        from samira_warp.geometry.camera import Camera
 
         torch.set_num_threads(2)
         camera = Camera(torch.eye(4), 40.0, 40.0, 16.0, 16.0, 32, 32)
@@ -140,4 +143,6 @@ def test_a_forked_process_goes_on():
 
 
 def run_python(code):
-    return subprocess.run([sys.executable, "-c", textwrap.dedent(code)], capture_output=True, text=True, timeout=120)
+    return subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(code)], capture_output=True, text=True, timeout=120
+    )

@@ -1,27 +1,40 @@
-"""Adjoints are written by hand and have none of their own: a second derivative is refused, not silently wrong."""
+"""Adjoints are written by hand and have none of their own: a second derivative is refused, not silently
+wrong."""
 
 import pytest
 import torch
 from kernels.scenes import block, straight_camera
 from torch.autograd import grad
 
-from samira_warp.kernels.binding import FaceBinding, bind
-from samira_warp.kernels.cubemap_filter import irradiance
-from samira_warp.kernels.cubemap_lookup import sample_cubemap
-from samira_warp.kernels.gather import GatherTable, gather
-from samira_warp.kernels.rasterizer import rasterize
-from samira_warp.kernels.triangle_frames import MeshTopology, triangle_frames
+from samira_warp.kernels.cubemap.filter import irradiance
+from samira_warp.kernels.cubemap.lookup import sample_cubemap
+from samira_warp.kernels.gathering.gather import GatherTable, gather
+from samira_warp.kernels.mesh.binding import FaceBinding, bind
+from samira_warp.kernels.mesh.triangle_frames import MeshTopology, triangle_frames
+from samira_warp.kernels.raster.rasterizer import rasterize
 from samira_warp.light import FilteredLight, shade
 
 
 def frames_of(device, vertices):
-    return triangle_frames(vertices, MeshTopology.build(torch.tensor([[0, 1, 2], [1, 2, 3]], device=device), 4))
+    return triangle_frames(
+        vertices, MeshTopology.build(torch.tensor([[0, 1, 2], [1, 2, 3]], device=device), 4)
+    )
 
 
 def bound(device, means):
-    binding, vertices = FaceBinding.build(torch.tensor([0, 1, 1, 0], device=device), 2), torch.eye(4, 3, device=device)
+    binding, vertices = (
+        FaceBinding.build(torch.tensor([0, 1, 1, 0], device=device), 2),
+        torch.eye(4, 3, device=device),
+    )
     quaternions = torch.eye(4, device=device)
-    return bind(means, quaternions, torch.ones(4, 3, device=device), means.detach(), binding, frames_of(device, vertices)).means
+    return bind(
+        means,
+        quaternions,
+        torch.ones(4, 3, device=device),
+        means.detach(),
+        binding,
+        frames_of(device, vertices),
+    ).means
 
 
 def shaded(device, albedo):
@@ -36,7 +49,9 @@ def rasterized(device, features):
 
 
 def gathered(device, values):
-    table = GatherTable.build(torch.zeros(5, 1, dtype=torch.long, device=device), torch.ones(5, 1, device=device), sources=4)
+    table = GatherTable.build(
+        torch.zeros(5, 1, dtype=torch.long, device=device), torch.ones(5, 1, device=device), sources=4
+    )
     return gather(values, table)
 
 

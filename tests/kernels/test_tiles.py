@@ -3,18 +3,23 @@ import math
 import pytest
 import torch
 
-from samira_warp.constants import ALPHA_MIN
-from samira_warp.errors import UserError
-from samira_warp.kernels.projection import Projection
-from samira_warp.kernels.tiles import TILE, bin_tiles
-from samira_warp.reference.tiles import bin_tiles as reference_bin_tiles
+from samira_warp.kernels.raster.projection import Projection
+from samira_warp.kernels.raster.tiles import TILE, bin_tiles
+from samira_warp.reference.raster.tiles import bin_tiles as reference_bin_tiles
+from samira_warp.support.constants import ALPHA_MIN
+from samira_warp.support.errors import UserError
 
 
 def make_ellipses(generator, device, count=300, width=70, height=50, aspect=1.0, scale=3.0):
-    """Ellipses all over and round an image, with log-normal axes (``aspect`` more on one) and every opacity from 0 to 1."""
+    """Ellipses all over and round an image, with log-normal axes (``aspect`` more on one) and every opacity
+    from 0 to 1."""
     extent = torch.tensor([width, height]).float()
     means2d = (1.4 * torch.rand(count, 2, generator=generator) - 0.2) * extent
-    axes = scale * torch.exp(0.6 * torch.randn(count, 2, generator=generator)) * torch.tensor([aspect, 1.0 / aspect])
+    axes = (
+        scale
+        * torch.exp(0.6 * torch.randn(count, 2, generator=generator))
+        * torch.tensor([aspect, 1.0 / aspect])
+    )
     angle = math.pi * torch.rand(count, generator=generator)
     c, s = angle.cos(), angle.sin()
     R = torch.stack([torch.stack([c, -s], dim=-1), torch.stack([s, c], dim=-1)], dim=-2).double()
@@ -23,13 +28,16 @@ def make_ellipses(generator, device, count=300, width=70, height=50, aspect=1.0,
     depths = 0.5 + torch.rand(count, generator=generator)
     opacities = torch.rand(count, generator=generator)
     visible = torch.rand(count, generator=generator) < 0.9
-    return Projection(*(tensor.to(device) for tensor in (means2d, depths, conics, visible))), opacities.to(device)
+    return Projection(*(tensor.to(device) for tensor in (means2d, depths, conics, visible))), opacities.to(
+        device
+    )
 
 
 def entries(bins):
     """{(tile, Gaussian)} of all entries."""
     tiles = torch.repeat_interleave(
-        torch.arange(bins.columns * bins.rows, device=bins.tile_offsets.device), bins.tile_offsets.diff().long()
+        torch.arange(bins.columns * bins.rows, device=bins.tile_offsets.device),
+        bins.tile_offsets.diff().long(),
     )
     return set(zip(tiles.tolist(), bins.gaussians[: len(tiles)].tolist(), strict=True))
 
@@ -103,12 +111,17 @@ def test_nothing_to_bin(device, count, capacity):
 
 
 def test_hostile_ellipses_end(device):
-    """Whatever the conic, means and opacities hold, binning ends without an error and without NaN keeping a tile."""
+    """Whatever the conic, means and opacities hold, binning ends without an error and without NaN keeping a
+    tile."""
     values = torch.tensor([0.0, 1.0, -1.0, 1e-30, 1e30, math.inf, math.nan], device=device)
     conics = torch.cartesian_prod(values, values, values)
     count = len(conics)
-    means2d = torch.stack([values[torch.arange(count, device=device) % 7], torch.full((count,), 5.0, device=device)], dim=-1)
-    projection = Projection(means2d, torch.ones(count, device=device), conics, torch.ones(count, dtype=torch.bool, device=device))
+    means2d = torch.stack(
+        [values[torch.arange(count, device=device) % 7], torch.full((count,), 5.0, device=device)], dim=-1
+    )
+    projection = Projection(
+        means2d, torch.ones(count, device=device), conics, torch.ones(count, dtype=torch.bool, device=device)
+    )
     bins = bin_tiles(projection, torch.full((count,), 0.5, device=device), width=64, height=64)
     assert bins.tile_offsets[-1] <= 16 * count
     assert not (torch.isnan(means2d[bins.gaussians.long()])).any()

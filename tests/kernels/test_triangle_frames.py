@@ -1,17 +1,20 @@
 import pytest
 import torch
 
-from samira_warp.errors import UserError
-from samira_warp.kernels.triangle_frames import MeshTopology, triangle_frames
-from samira_warp.reference.triangle_frames import triangle_frames as reference
+from samira_warp.kernels.mesh.triangle_frames import MeshTopology, triangle_frames
+from samira_warp.reference.mesh.triangle_frames import triangle_frames as reference
+from samira_warp.support.errors import UserError
 
 
 def make_mesh(generator, device, vertices=600, faces=3000):
-    """A soup of triangles that share vertices, about 0.1 across, none of them thin, and a last vertex that no face uses."""
+    """A soup of triangles that share vertices, about 0.1 across, none of them thin, and a last vertex that no
+    face uses."""
     points = 0.1 * torch.randn(vertices, 3, generator=generator)
     candidates = torch.randint(vertices - 1, (4 * faces, 3), generator=generator)
     a, b, c = points[candidates].unbind(dim=1)
-    height = torch.linalg.cross(b - a, c - a).norm(dim=1) / torch.stack([b - a, c - a, c - b]).norm(dim=2).amax(dim=0).clamp(min=1e-9)
+    height = torch.linalg.cross(b - a, c - a).norm(dim=1) / torch.stack([b - a, c - a, c - b]).norm(
+        dim=2
+    ).amax(dim=0).clamp(min=1e-9)
     candidates = candidates[height > 0.02][:faces]
     assert len(candidates) == faces
     return points.to(device), MeshTopology.build(candidates.to(device), vertices)
@@ -31,7 +34,9 @@ def test_a_known_triangle(device):
     vertices = torch.tensor([[0.0, 0.0, 0.0], [4.0, 0.0, 0.0], [1.0, 2.0, 0.0]], device=device)
     frames = triangle_frames(vertices, MeshTopology.build(torch.tensor([[0, 1, 2]], device=device), 3))
     # Columns: along the edge (+x), the normal (+z), their cross product (-y); length 4 and height 2.
-    assert torch.allclose(frames.rotation[0].cpu(), torch.tensor([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]), rtol=0, atol=1e-7)
+    assert torch.allclose(
+        frames.rotation[0].cpu(), torch.tensor([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]]), rtol=0, atol=1e-7
+    )
     assert torch.allclose(frames.translation[0].cpu(), torch.tensor([5 / 3, 2 / 3, 0]), rtol=0, atol=1e-6)
     assert frames.scale.item() == pytest.approx(3.0, rel=1e-6)
 
@@ -42,21 +47,30 @@ def test_matches_the_twin_and_its_gradient(device, generator):
     leaf, exact = vertices.clone().requires_grad_(), vertices.double().requires_grad_()
     found, expected = triangle_frames(leaf, topology), reference(exact, topology)
     for one, other in zip(found, expected, strict=True):
-        # Lengths of 0.1 to 2^-24, directions after a division by heights above 0.02: 0.1 * 6e-8 / 0.02 = 3e-7, a few times over.
+        # Lengths of 0.1 to 2^-24, directions after a division by heights above 0.02: 0.1 * 6e-8 / 0.02 =
+        # 3e-7, a few times over.
         assert torch.allclose(one.double(), other, rtol=0, atol=2e-6)
     (grad,) = torch.autograd.grad(found, leaf, weights)
     (exact_grad,) = torch.autograd.grad(expected, exact, [weight.double() for weight in weights])
     assert (grad.double() - exact_grad).norm() < 1e-5 * exact_grad.norm()
-    assert torch.nn.functional.cosine_similarity(grad.double().flatten(), exact_grad.flatten(), dim=0) > 1 - 1e-9
+    assert (
+        torch.nn.functional.cosine_similarity(grad.double().flatten(), exact_grad.flatten(), dim=0) > 1 - 1e-9
+    )
 
 
 @pytest.mark.parametrize("output", ["rotation", "translation", "scale"])
 def test_gradient_of_each_output_alone(device, generator, output):
     vertices, topology = make_mesh(generator, device, faces=500)
     leaf, exact = vertices.clone().requires_grad_(), vertices.double().requires_grad_()
-    found, expected = getattr(triangle_frames(leaf, topology), output), getattr(reference(exact, topology), output)
+    found, expected = (
+        getattr(triangle_frames(leaf, topology), output),
+        getattr(reference(exact, topology), output),
+    )
     weight = torch.randn(found.shape, generator=generator).to(device)
-    (grad,), (exact_grad,) = torch.autograd.grad(found, leaf, weight), torch.autograd.grad(expected, exact, weight.double())
+    (grad,), (exact_grad,) = (
+        torch.autograd.grad(found, leaf, weight),
+        torch.autograd.grad(expected, exact, weight.double()),
+    )
     assert (grad.double() - exact_grad).norm() < 1e-5 * exact_grad.norm()
 
 
@@ -71,14 +85,23 @@ def test_rotations_are_rotations_and_follow_rigid_motion(device, generator):
     vertices, topology = make_mesh(generator, device)
     frames = triangle_frames(vertices, topology)
     r = frames.rotation.double()
-    assert torch.allclose(r.mT @ r, torch.eye(3, dtype=torch.float64, device=device).expand_as(r), rtol=0, atol=1e-6)
-    assert torch.allclose(torch.linalg.det(r), torch.ones(len(r), dtype=torch.float64, device=device), rtol=0, atol=1e-6)
+    assert torch.allclose(
+        r.mT @ r, torch.eye(3, dtype=torch.float64, device=device).expand_as(r), rtol=0, atol=1e-6
+    )
+    assert torch.allclose(
+        torch.linalg.det(r), torch.ones(len(r), dtype=torch.float64, device=device), rtol=0, atol=1e-6
+    )
 
-    turn, shift = random_rotation(generator).to(device), torch.tensor([0.3, -0.2, 0.1], dtype=torch.float64, device=device)
+    turn, shift = (
+        random_rotation(generator).to(device),
+        torch.tensor([0.3, -0.2, 0.1], dtype=torch.float64, device=device),
+    )
     moved = triangle_frames((vertices.double() @ turn.T + shift).float(), topology)
     # The moved vertices are rounded to 0.5 * 2^-24: 3e-8 / 0.02 = 1.5e-6 in a direction, a few times over.
     assert torch.allclose(moved.rotation.double(), turn @ r, rtol=0, atol=1e-5)
-    assert torch.allclose(moved.translation.double(), frames.translation.double() @ turn.T + shift, rtol=0, atol=2e-7)
+    assert torch.allclose(
+        moved.translation.double(), frames.translation.double() @ turn.T + shift, rtol=0, atol=2e-7
+    )
     assert torch.allclose(moved.scale, frames.scale, rtol=0, atol=2e-7)
 
 

@@ -1,9 +1,9 @@
 import pytest
 import torch
 
-from samira_warp.errors import UserError
-from samira_warp.kernels.uv_raster import TILE, rasterize_uv
-from samira_warp.reference.uv_raster import rasterize_uv as reference
+from samira_warp.kernels.mesh.uv_raster import TILE, rasterize_uv
+from samira_warp.reference.mesh.uv_raster import rasterize_uv as reference
+from samira_warp.support.errors import UserError
 
 CORNERS = [[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]
 
@@ -34,7 +34,12 @@ def make_grid(generator, cells=9):
     vt = torch.stack(torch.meshgrid(steps, steps, indexing="xy"), dim=-1)
     vt[1:-1, 1:-1] += 0.3 / cells * (2 * torch.rand(cells - 1, cells - 1, 2, generator=generator) - 1)
     ids = torch.arange((cells + 1) ** 2).view(cells + 1, cells + 1)
-    a, b, c, d = ids[:-1, :-1].flatten(), ids[:-1, 1:].flatten(), ids[1:, 1:].flatten(), ids[1:, :-1].flatten()
+    a, b, c, d = (
+        ids[:-1, :-1].flatten(),
+        ids[:-1, 1:].flatten(),
+        ids[1:, 1:].flatten(),
+        ids[1:, :-1].flatten(),
+    )
     flip = torch.rand(len(a), generator=generator) < 0.5
     one = torch.where(flip[:, None], torch.stack([a, b, d], 1), torch.stack([a, b, c], 1))
     two = torch.where(flip[:, None], torch.stack([b, c, d], 1), torch.stack([a, c, d], 1))
@@ -98,17 +103,25 @@ def test_shared_edges_leave_no_gap(device, generator, size):
     vt, ft = make_grid(generator)
     raster = rasterize_uv(vt.to(device), ft.to(device), size=size)
     assert bool((raster.face >= 0).all())
-    assert torch.allclose(raster.barycentrics.sum(dim=-1), torch.ones(size, size, device=device), rtol=0, atol=1e-5)
+    assert torch.allclose(
+        raster.barycentrics.sum(dim=-1), torch.ones(size, size, device=device), rtol=0, atol=1e-5
+    )
     assert bool((raster.barycentrics >= 0).all())
 
 
 def test_vertices_and_edges_on_texel_centres_leave_no_gap(device):
-    """Every vertex at a texel's centre: ties everywhere, and the lowest of the faces that meet there takes it."""
+    """Every vertex at a texel's centre: ties everywhere, and the lowest of the faces that meet there takes
+    it."""
     size, cells = 16, 5
     at = (torch.arange(cells + 1) * 3 + 0.5) / size
     vt = torch.stack(torch.meshgrid(at, 1 - at, indexing="xy"), dim=-1).view(-1, 2)
     ids = torch.arange((cells + 1) ** 2).view(cells + 1, cells + 1)
-    a, b, c, d = ids[:-1, :-1].flatten(), ids[:-1, 1:].flatten(), ids[1:, 1:].flatten(), ids[1:, :-1].flatten()
+    a, b, c, d = (
+        ids[:-1, :-1].flatten(),
+        ids[:-1, 1:].flatten(),
+        ids[1:, 1:].flatten(),
+        ids[1:, :-1].flatten(),
+    )
     ft = torch.cat([torch.stack([a, b, c], 1), torch.stack([a, c, d], 1)])
     raster = rasterize_uv(vt.to(device), ft.to(device), size=size)
     assert torch.equal(raster.face.cpu(), reference(vt.double(), ft, size=size).face)
@@ -117,7 +130,9 @@ def test_vertices_and_edges_on_texel_centres_leave_no_gap(device):
 
 def test_what_lies_outside_is_cut_off(device):
     """A face far larger than the map covers all of it, and one beside it nothing."""
-    vt = torch.tensor([[-5.0, -5.0], [20.0, -5.0], [-5.0, 20.0], [1.5, 0.0], [2.5, 0.0], [1.5, 1.0]], device=device)
+    vt = torch.tensor(
+        [[-5.0, -5.0], [20.0, -5.0], [-5.0, 20.0], [1.5, 0.0], [2.5, 0.0], [1.5, 1.0]], device=device
+    )
     ft = torch.tensor([[3, 4, 5], [0, 1, 2]], device=device)
     raster = rasterize_uv(vt, ft, size=37)
     assert bool((raster.face == 1).all())
@@ -134,7 +149,9 @@ def test_degenerate_faces_cover_nothing(device):
 
 
 def test_no_faces(device):
-    raster = rasterize_uv(torch.zeros(4, 2, device=device), torch.empty(0, 3, dtype=torch.int64, device=device), size=20)
+    raster = rasterize_uv(
+        torch.zeros(4, 2, device=device), torch.empty(0, 3, dtype=torch.int64, device=device), size=20
+    )
     assert bool((raster.face == -1).all())
     assert not raster.barycentrics.any()
 

@@ -3,19 +3,25 @@ import math
 import pytest
 import torch
 
-from samira_warp.errors import UserError
-from samira_warp.kernels.visibility import visible
-from samira_warp.reference.visibility import visible as reference
+from samira_warp.kernels.rays.visibility import visible
+from samira_warp.reference.rays.visibility import visible as reference
+from samira_warp.support.errors import UserError
 
 
 def make_sphere(rings=24, columns=48):
     """A closed unit sphere: vertices (V, 3), faces (F, 3)."""
     polar = torch.linspace(0, math.pi, rings + 1)[:, None]
     around = 2 * math.pi * torch.arange(columns)[None] / columns
-    vertices = torch.stack([polar.sin() * around.cos(), polar.sin() * around.sin(), polar.cos().expand(-1, columns)], dim=-1)
-    ring, column = (grid.flatten() for grid in torch.meshgrid(torch.arange(rings), torch.arange(columns), indexing="ij"))
+    vertices = torch.stack(
+        [polar.sin() * around.cos(), polar.sin() * around.sin(), polar.cos().expand(-1, columns)], dim=-1
+    )
+    ring, column = (
+        grid.flatten() for grid in torch.meshgrid(torch.arange(rings), torch.arange(columns), indexing="ij")
+    )
     a, b = ring * columns + column, ring * columns + (column + 1) % columns
-    return vertices.view(-1, 3), torch.cat([torch.stack([a, a + columns, b + columns], 1), torch.stack([a, b + columns, b], 1)])
+    return vertices.view(-1, 3), torch.cat(
+        [torch.stack([a, a + columns, b + columns], 1), torch.stack([a, b + columns, b], 1)]
+    )
 
 
 def move(device, *tensors):
@@ -56,12 +62,23 @@ def test_triangles_block_from_both_sides(device, order):
     vertices = torch.tensor([[-1.0, -1, 0], [1, -1, 0], [0, 2, 0]], device=device)
     points = torch.tensor([[0.0, 0, -1], [0, 0, 0.5], [3, 0, -1], [0.0, 0, 2]], device=device)
     options = {"vertices": vertices, "faces": torch.tensor([order], device=device)}
-    assert visible(points, origin=torch.tensor([0.0, 0, 1], device=device), **options).tolist() == [False, True, True, True]
-    assert visible(points, origin=torch.tensor([0.0, 0, -1], device=device), **options).tolist() == [True, False, True, False]
+    assert visible(points, origin=torch.tensor([0.0, 0, 1], device=device), **options).tolist() == [
+        False,
+        True,
+        True,
+        True,
+    ]
+    assert visible(points, origin=torch.tensor([0.0, 0, -1], device=device), **options).tolist() == [
+        True,
+        False,
+        True,
+        False,
+    ]
 
 
 def test_the_surface_does_not_hide_its_own_points(device, generator):
-    """Points of a triangle, moved by rounding to either side, from a metre away; a lid 1 mm before them does hide them."""
+    """Points of a triangle, moved by rounding to either side, from a metre away; a lid 1 mm before them does
+    hide them."""
     triangle = torch.tensor([[-0.05, -0.04, 0.02], [0.06, -0.03, -0.01], [0.0, 0.07, 0.03]])
     weights = torch.rand(3000, 3, generator=generator)
     points = weights / weights.sum(dim=1, keepdim=True) @ triangle
@@ -69,13 +86,21 @@ def test_the_surface_does_not_hide_its_own_points(device, generator):
     points, triangle, origin = move(device, points, triangle, toward)
     faces = torch.tensor([[0, 1, 2]], device=device)
     assert bool(visible(points, vertices=triangle, faces=faces, origin=origin).all())
-    lid = 3 * (triangle - triangle.mean(dim=0)) + triangle.mean(dim=0) + torch.tensor([0.0, 0.0, 0.001], device=device)
+    lid = (
+        3 * (triangle - triangle.mean(dim=0))
+        + triangle.mean(dim=0)
+        + torch.tensor([0.0, 0.0, 0.001], device=device)
+    )
     assert not bool(visible(points, vertices=lid, faces=faces, origin=origin).any())
 
 
 def test_offset_is_what_is_left_untested(device):
     vertices = torch.tensor([[-1.0, -1, 0], [1, -1, 0], [0, 2, 0]], device=device)
-    options = {"vertices": vertices, "faces": torch.tensor([[0, 1, 2]], device=device), "origin": torch.tensor([0.0, 0, 1], device=device)}
+    options = {
+        "vertices": vertices,
+        "faces": torch.tensor([[0, 1, 2]], device=device),
+        "origin": torch.tensor([0.0, 0, 1], device=device),
+    }
     points = torch.tensor([[0.0, 0, -0.01]], device=device)
     assert visible(points, offset=0.02, **options).tolist() == [True]
     assert visible(points, offset=0.005, **options).tolist() == [False]
@@ -100,13 +125,25 @@ def test_degenerate_inputs(device):
     points = torch.tensor([[0.0, 0, -1], [0, 0, 1], [0, 0, 1 + 1e-6]], device=device)
     none = torch.empty(0, 3, dtype=torch.int64, device=device)
     assert visible(points, vertices=vertices, faces=none, origin=origin).all(), "nothing hides without a mesh"
-    assert visible(points[1:], vertices=vertices, faces=faces, origin=origin).all(), "nothing lies between a point and itself"
+    assert visible(points[1:], vertices=vertices, faces=faces, origin=origin).all(), (
+        "nothing lies between a point and itself"
+    )
     assert visible(points[:0], vertices=vertices, faces=faces, origin=origin).shape == (0,)
 
 
 def test_wrong_arguments_are_a_users_error(device):
     points, faces = torch.zeros(2, 3, device=device), torch.tensor([[0, 1, 2]], device=device)
     with pytest.raises(UserError, match="points"):
-        visible(points[:, :2], vertices=torch.zeros(3, 3, device=device), faces=faces, origin=torch.zeros(3, device=device))
+        visible(
+            points[:, :2],
+            vertices=torch.zeros(3, 3, device=device),
+            faces=faces,
+            origin=torch.zeros(3, device=device),
+        )
     with pytest.raises(UserError, match="origin"):
-        visible(points, vertices=torch.zeros(3, 3, device=device), faces=faces, origin=torch.zeros(1, 3, device=device))
+        visible(
+            points,
+            vertices=torch.zeros(3, 3, device=device),
+            faces=faces,
+            origin=torch.zeros(1, 3, device=device),
+        )

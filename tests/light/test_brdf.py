@@ -5,11 +5,12 @@ import pytest
 import torch
 
 from samira_warp.light.brdf import brdf_table, integrate_brdf
-from samira_warp.reference import shading as reference
+from samira_warp.reference.shading import deferred as reference
 
 
 def quadrature(roughness, cosine, polar=800, turns=400):
-    """(B_x, B_y) summed over half vectors at midpoints, from the microfacet model as it is written in books."""
+    """(B_x, B_y) summed over half vectors at midpoints, from the microfacet model as it is written in
+    books."""
     alpha = roughness**2
     psi = (np.arange(polar) + 0.5) / polar * (math.pi / 2)
     theta = np.arctan(alpha * np.tan(psi))[:, None]
@@ -21,7 +22,11 @@ def quadrature(roughness, cosine, polar=800, turns=400):
     smith = [np.sqrt(1 + alpha**2 * (1 / x**2 - 1)) for x in (cosine, np.where(light > 0, light, 1.0))]
     masking = 2 / (smith[0] + smith[1])
     # f n.l dOmega_l = D G / (4 n.l n.v) n.l 4 (v.h) dOmega_h
-    terms = np.where(light > 0, distribution * masking / cosine * view_half * np.sin(theta) * step * (2 * math.pi / turns), 0.0)
+    terms = np.where(
+        light > 0,
+        distribution * masking / cosine * view_half * np.sin(theta) * step * (2 * math.pi / turns),
+        0.0,
+    )
     schlick = (1 - view_half) ** 5
     return (terms * (1 - schlick)).sum(), (terms * schlick).sum()
 
@@ -54,7 +59,9 @@ def test_brdf_table_is_bounded_and_right_for_a_mirror(device):
 
 
 def test_brdf_lookup_hits_the_corner_nodes(device):
-    corners = look_up(torch.tensor([0.0, 1.0, 1.0], device=device), torch.tensor([1.0, 1.0, 0.0], device=device))
+    corners = look_up(
+        torch.tensor([0.0, 1.0, 1.0], device=device), torch.tensor([1.0, 1.0, 0.0], device=device)
+    )
     # At n . v = 0 the lookup stops at 1e-6, a tenth of a node away.
     assert torch.allclose(corners, brdf_table(device)[[0, -1, -1], [-1, -1, 0]], atol=5e-3)
 
@@ -75,9 +82,12 @@ def test_roughness_slope_at_the_borders(at, step):
     cosine = np.array([0.05, 0.2, 0.6, 1.0])
     roughness = torch.full((4,), at, dtype=torch.float64, requires_grad=True)
     terms = look_up(roughness, torch.from_numpy(cosine))
-    grads = torch.stack([torch.autograd.grad(term.sum(), roughness, retain_graph=True)[0] for term in terms.T], dim=1)
+    grads = torch.stack(
+        [torch.autograd.grad(term.sum(), roughness, retain_graph=True)[0] for term in terms.T], dim=1
+    )
     wanted = slope(lambda r: integrate_brdf(r, cosine), at, step)
-    # Between nodes 1 / 95 apart a slope is that of the middle: off by half a node times a curvature of up to 8.
+    # Between nodes 1 / 95 apart a slope is that of the middle: off by half a node times a curvature of up to
+    # 8.
     assert np.abs(grads.numpy() - wanted).max() < 0.045
 
 
@@ -86,7 +96,9 @@ def test_view_slope_at_the_borders(at, step):
     roughness = torch.tensor([0.1, 0.3, 0.6, 1.0], dtype=torch.float64)
     cosine = torch.full((4,), at, dtype=torch.float64, requires_grad=True)
     terms = look_up(roughness, cosine)
-    grads = torch.stack([torch.autograd.grad(term.sum(), cosine, retain_graph=True)[0] for term in terms.T], dim=1).numpy()
+    grads = torch.stack(
+        [torch.autograd.grad(term.sum(), cosine, retain_graph=True)[0] for term in terms.T], dim=1
+    ).numpy()
     wanted = slope(lambda c: integrate_brdf(roughness.numpy(), np.full(4, c)), at, step)
     # The same, by the root of n . v: half a node of 1 / 95, times curvatures in proportion to the slopes.
     assert np.abs(grads - wanted).max() < 0.06 * np.abs(wanted).max() + 0.01

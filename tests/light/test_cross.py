@@ -1,10 +1,10 @@
 import pytest
 import torch
 
-from samira_warp.errors import UserError
-from samira_warp.kernels.cubemap import texel_directions, texel_solid_angles
+from samira_warp.kernels.cubemap.layout import texel_directions, texel_solid_angles
 from samira_warp.light.cross import cross_to_cube, cube_to_cross, resample_cube
 from samira_warp.light.equirect import turn_directions
+from samira_warp.support.errors import UserError
 
 SIZE = 8
 
@@ -15,7 +15,8 @@ def block(cross, row, column):
 
 
 def upright(lying):
-    """The same cross with the face behind below the bottom one, where the picture goes on over their common edge."""
+    """The same cross with the face behind below the bottom one, where the picture goes on over their common
+    edge."""
     cross = torch.zeros(4 * SIZE, 3 * SIZE, lying.shape[2])
     cross[: 3 * SIZE] = lying[:, : 3 * SIZE]
     block(cross, 3, 1)[:] = block(lying, 1, 3).flip(0, 1)
@@ -24,7 +25,14 @@ def upright(lying):
 
 @pytest.mark.parametrize(
     ("row", "column", "direction"),
-    [(1, 1, (0, 0, -1)), (1, 2, (1, 0, 0)), (1, 3, (0, 0, 1)), (1, 0, (-1, 0, 0)), (0, 1, (0, 1, 0)), (2, 1, (0, -1, 0))],
+    [
+        (1, 1, (0, 0, -1)),
+        (1, 2, (1, 0, 0)),
+        (1, 3, (0, 0, 1)),
+        (1, 0, (-1, 0, 0)),
+        (0, 1, (0, 1, 0)),
+        (2, 1, (0, -1, 0)),
+    ],
 )
 def test_faces_lie_where_a_viewer_sees_them(row, column, direction):
     middle = block(cube_to_cross(texel_directions(SIZE)), row, column).mean(dim=(0, 1))
@@ -69,13 +77,17 @@ def test_resampling_keeps_the_mean_and_the_directions(device, old, new, rotate):
     # bilinear lookups and means over texels of a map of slope 0.5: second-order errors in the coarser texel
     assert (resampled - expected).abs().max() < 0.5 * (2 / min(old, new)) ** 2
     areas = texel_solid_angles(new, device=device)[..., None]
-    assert torch.allclose((resampled * areas).sum(dim=(0, 1, 2)) / (4 * torch.pi), torch.ones(3, device=device), atol=2e-3)
+    assert torch.allclose(
+        (resampled * areas).sum(dim=(0, 1, 2)) / (4 * torch.pi), torch.ones(3, device=device), atol=2e-3
+    )
 
 
 def test_whole_blocks_are_averaged_exactly(generator):
     cubemap = torch.rand(6, 12, 12, 2, generator=generator)
     areas = texel_solid_angles(12)[..., None]
-    blocks = (cubemap * areas).view(6, 4, 3, 4, 3, 2).sum(dim=(2, 4)) / areas.view(4, 3, 4, 3, 1).sum(dim=(1, 3))
+    blocks = (cubemap * areas).view(6, 4, 3, 4, 3, 2).sum(dim=(2, 4)) / areas.view(4, 3, 4, 3, 1).sum(
+        dim=(1, 3)
+    )
     assert torch.allclose(resample_cube(cubemap, size=4), blocks)
     assert resample_cube(cubemap, size=12) is cubemap
     assert resample_cube(cubemap, size=12, rotate=360.0) is cubemap

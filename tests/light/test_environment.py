@@ -5,12 +5,11 @@ import OpenImageIO
 import pytest
 import torch
 
-from samira_warp.camera import Camera
-from samira_warp.errors import UserError
-from samira_warp.images import write_exr
-from samira_warp.kernels.cubemap import texel_solid_angles
-from samira_warp.kernels.cubemap_lookup import sample_cubemap
-from samira_warp.kernels.equirect_lookup import picture_equirect
+from samira_warp.geometry.camera import Camera
+from samira_warp.io.images import write_exr
+from samira_warp.kernels.cubemap.equirect import picture_equirect
+from samira_warp.kernels.cubemap.layout import texel_solid_angles
+from samira_warp.kernels.cubemap.lookup import sample_cubemap
 from samira_warp.light import Environment, encode_srgb
 from samira_warp.light.cross import cube_to_cross
 from samira_warp.light.equirect import (
@@ -21,7 +20,8 @@ from samira_warp.light.equirect import (
     turn_directions,
 )
 from samira_warp.light.radiance_map import RadianceMap
-from samira_warp.reference.equirect import picture_equirect as reference_picture
+from samira_warp.reference.cubemap.equirect import picture_equirect as reference_picture
+from samira_warp.support.errors import UserError
 
 
 def write(path, pixels, format=OpenImageIO.FLOAT):
@@ -76,7 +76,9 @@ def test_a_bright_pixel_is_found_where_the_convention_puts_it(device, rotate, ro
 @pytest.mark.parametrize("size", [8, 32, 64])
 def test_mean_radiance_is_kept(device, generator, size):
     # Light as in real maps: 1 % of the pixels carry nearly all of it.
-    equirect = torch.rand(64, 128, 3, generator=generator) + 500 * (torch.rand(64, 128, 1, generator=generator) < 0.01)
+    equirect = torch.rand(64, 128, 3, generator=generator) + 500 * (
+        torch.rand(64, 128, 1, generator=generator) < 0.01
+    )
     cubemap = equirect_to_cube(equirect.to(device), size=size).cpu()
     # Samples are dense, not infinitely so: each of the 80 lamps of one pixel is off by a few percent.
     assert torch.allclose(mean_radiance(cubemap), equirect_mean(equirect), rtol=1e-2)
@@ -92,7 +94,8 @@ def test_equirect_to_cube_and_back(device):
     directions = equirect_directions(64, device=device)
     smooth = 1 + 0.5 * directions
     back = cube_to_equirect(equirect_to_cube(smooth, size=64), height=64)
-    # Bilinear twice over a function of slope 0.5, with texels and pixels of 0.03 and 0.05 rad: second-order errors.
+    # Bilinear twice over a function of slope 0.5, with texels and pixels of 0.03 and 0.05 rad: second-order
+    # errors.
     assert (back - smooth).abs().max() < 2e-3
 
 
@@ -101,7 +104,9 @@ def test_resampling_is_differentiable(generator):
     cubemap = equirect_to_cube(equirect, size=4)
     upstream = torch.randn(cubemap.shape, generator=generator)
     (adjoint,) = torch.autograd.grad(cubemap, equirect, upstream)
-    assert (cubemap * upstream).sum().item() == pytest.approx((equirect * adjoint).sum().item(), rel=1e-4, abs=1e-4)
+    assert (cubemap * upstream).sum().item() == pytest.approx(
+        (equirect * adjoint).sum().item(), rel=1e-4, abs=1e-4
+    )
 
 
 @pytest.mark.parametrize("suffix", [".hdr", ".exr"])
@@ -110,9 +115,13 @@ def test_load(tmp_path, suffix, generator):
     pixels[5, 7] = 900.0
     path = write(tmp_path / f"lämp 1{suffix}", pixels)
     # .hdr shares one exponent of 8 bits of mantissa between the channels.
-    assert np.allclose(RadianceMap.read(path).texels.numpy(), pixels, rtol=1e-3, atol=8 / 256 if suffix == ".hdr" else 0)
+    assert np.allclose(
+        RadianceMap.read(path).texels.numpy(), pixels, rtol=1e-3, atol=8 / 256 if suffix == ".hdr" else 0
+    )
     environment = Environment.load(path, exposure=2.0, size=32)
-    assert torch.allclose(mean_radiance(environment.specular), 2 * equirect_mean(torch.from_numpy(pixels)), rtol=2e-2)
+    assert torch.allclose(
+        mean_radiance(environment.specular), 2 * equirect_mean(torch.from_numpy(pixels)), rtol=2e-2
+    )
     light = environment.filtered()
     assert light.irradiance.shape == (6, 16, 16, 3)
     assert [mip.shape[1] for mip in light.specular] == [32, 16, 16, 8, 8, 4, 4, 4, 4]
@@ -153,7 +162,9 @@ def test_a_picture_of_a_panorama_is_smooth_and_within_its_range(size, generator)
 def test_a_picture_of_a_panorama_keeps_a_slope():
     directions = equirect_directions(40).view(-1, 3)
     # a spline of a linear function is that function; directions curve by a pixel's angle squared
-    assert (picture_equirect(equirect_directions(64), directions) - directions).abs().max() < (math.pi / 64) ** 2
+    assert (picture_equirect(equirect_directions(64), directions) - directions).abs().max() < (
+        math.pi / 64
+    ) ** 2
 
 
 @pytest.mark.parametrize("size", [(1, 2), (2, 4), (3, 6), (32, 64)])
@@ -164,8 +175,13 @@ def test_a_picture_of_a_panorama_matches_the_twin(device, generator, size, rotat
     # the seam and the middle; a pole itself lies in every column
     directions[:4] = torch.tensor([[1.0, 0, 0], [-1, 0, 0], [0, 0, 1], [0, 0, -1]])
     expected = reference_picture(panorama.double(), directions.double(), rotate=rotate)
-    found = picture_equirect(panorama.to(device), directions.view(50, 100, 3).to(device), rotate=rotate).view(-1, 3).cpu()
-    # arc cosine loses half the digits near its ends, 3e-4 rad at the worst, where pixels are 0.1 wide; slopes are at most 1 a pixel
+    found = (
+        picture_equirect(panorama.to(device), directions.view(50, 100, 3).to(device), rotate=rotate)
+        .view(-1, 3)
+        .cpu()
+    )
+    # arc cosine loses half the digits near its ends, 3e-4 rad at the worst, where pixels are 0.1 wide; slopes
+    # are at most 1 a pixel
     near_pole = directions[:, 1].abs() > 0.999
     assert (found[~near_pole] - expected[~near_pole]).abs().max() < 2e-5
     assert (found - expected).abs().max() < 5e-3
@@ -223,16 +239,25 @@ def test_a_cross_is_the_same_light_as_its_panorama(tmp_path, generator, turn):
     lying = cube_to_cross(equirect_to_cube(panorama, size=64))
     write_exr(tmp_path / "cross.exr", lying.numpy())
     write_exr(tmp_path / "panorama.exr", panorama.numpy())
-    cross, whole = (Environment.load(tmp_path / f"{name}.exr", size=32, rotate=turn) for name in ("cross", "panorama"))
-    # only the edges of the panorama's blocks differ, which are resampled twice; two maps at random would differ by a third
+    cross, whole = (
+        Environment.load(tmp_path / f"{name}.exr", size=32, rotate=turn) for name in ("cross", "panorama")
+    )
+    # only the edges of the panorama's blocks differ, which are resampled twice; two maps at random would
+    # differ by a third
     assert (cross.specular - whole.specular).abs().mean() < 0.02
     assert torch.allclose(mean_radiance(cross.specular), mean_radiance(whole.specular), rtol=5e-3)
 
 
 def test_a_pair_of_maps_is_a_light_for_diffuse_and_one_for_specular(tmp_path, generator):
-    diffuse, specular = torch.rand(6, 16, 16, 3, generator=generator), 5 * torch.rand(6, 64, 64, 3, generator=generator)
+    diffuse, specular = (
+        torch.rand(6, 16, 16, 3, generator=generator),
+        5 * torch.rand(6, 64, 64, 3, generator=generator),
+    )
     Environment.from_cubemaps(diffuse, specular).save(tmp_path)
-    for read in (Environment.load(tmp_path), Environment.load(tmp_path / "light_diffuse.exr", tmp_path / "light_specular.exr")):
+    for read in (
+        Environment.load(tmp_path),
+        Environment.load(tmp_path / "light_diffuse.exr", tmp_path / "light_specular.exr"),
+    ):
         assert torch.equal(read.diffuse, diffuse)
         assert torch.equal(read.specular, specular)
     # a turned pair is resampled, and seen by the camera as it is by shading
@@ -261,7 +286,10 @@ def test_background_is_the_environment_straight_ahead():
     [
         (lambda path: path, "no such file"),
         (lambda path: path.write_bytes(b"not an image") and path, "readable"),
-        (lambda path: write(path.with_suffix(".png"), np.zeros((8, 16, 3), np.uint8), OpenImageIO.UINT8), "8-bit"),
+        (
+            lambda path: write(path.with_suffix(".png"), np.zeros((8, 16, 3), np.uint8), OpenImageIO.UINT8),
+            "8-bit",
+        ),
         (lambda path: write(path, np.ones((8, 8, 3), np.float32)), "8 x 8"),
         (lambda path: write(path, np.ones((8, 12, 3), np.float32)), "4:3 or 3:4"),
         (lambda path: path.mkdir() or path, "light_diffuse.exr and light_specular.exr"),
@@ -335,6 +363,11 @@ def test_real_maps_have_the_brightness_that_the_dataset_states(subject):
     for name in ("city", "lobby"):
         stated = json.loads((subject / "gt" / "relight" / f"{name}.json").read_text())
         environment = Environment.load(subject / stated["file"], rotate=stated["azimuth_degrees"], size=64)
-        assert (mean_radiance(environment.diffuse) @ luminance).item() == pytest.approx(stated["mean_radiance"], rel=1e-2)
-        front = sample_cubemap(environment.filtered().irradiance, torch.tensor([[0.0, 0.0, 1.0]])).double() @ luminance
+        assert (mean_radiance(environment.diffuse) @ luminance).item() == pytest.approx(
+            stated["mean_radiance"], rel=1e-2
+        )
+        front = (
+            sample_cubemap(environment.filtered().irradiance, torch.tensor([[0.0, 0.0, 1.0]])).double()
+            @ luminance
+        )
         assert front.item() == pytest.approx(stated["front_irradiance_over_pi"], rel=1.5e-2)

@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from samira_warp.kernels.cubemap_filter import irradiance
+from samira_warp.kernels.cubemap.filter import irradiance
 from samira_warp.light import LearnableLight
 
 

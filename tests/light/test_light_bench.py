@@ -5,8 +5,8 @@ import pytest
 import torch
 
 from samira_warp.bench import light, light_table
-from samira_warp.errors import UserError
-from samira_warp.images import write_exr
+from samira_warp.io.images import write_exr
+from samira_warp.support.errors import UserError
 
 
 @pytest.fixture
@@ -28,8 +28,12 @@ def test_the_json_is_one_object_with_its_errors_in_bounds(folder, monkeypatch, c
     assert row["bruteforce_max_error"] < 1e-3
     assert row["environment_max_error"] < 1e-3
     assert min(row[name] for name in ("step_ms", "shade_ms", "shade_adjoint_ms", "environment_ms")) > 0
-    assert [entry["object"] for entry in row["monte_carlo"]] == [*(f"sphere {r:g}" for r in light_table.SPHERE_ROUGHNESS), "head"]
-    # A light without detail: what is left is the truth's own noise, some 0.85 / sqrt(1600), and less than a per cent of ours.
+    assert [entry["object"] for entry in row["monte_carlo"]] == [
+        *(f"sphere {r:g}" for r in light_table.SPHERE_ROUGHNESS),
+        "head",
+    ]
+    # A light without detail: what is left is the truth's own noise, some 0.85 / sqrt(1600), and less than a
+    # per cent of ours.
     for entry in row["monte_carlo"]:
         assert entry["map"] == "sky"
         assert entry["color"] < 2 * entry["noise"] + 0.01

@@ -1,4 +1,5 @@
-"""Shaded spheres against answers that this package did not make: closed forms, and Monte Carlo straight from the panorama."""
+"""Shaded spheres against answers that this package did not make: closed forms, and Monte Carlo straight from
+the panorama."""
 
 import math
 
@@ -7,8 +8,8 @@ import pytest
 import torch
 
 from samira_warp.bench.light_truth import Panorama, brdf_terms, seen_light
-from samira_warp.images import write_exr
-from samira_warp.kernels.cubemap import texel_directions, texel_solid_angles
+from samira_warp.io.images import write_exr
+from samira_warp.kernels.cubemap.layout import texel_directions, texel_solid_angles
 from samira_warp.light import Environment, shade
 
 LAMP = torch.tensor([0.48, 0.6, 0.64])
@@ -27,14 +28,18 @@ def sphere(count, generator):
 def shade_sphere(light, normal, view, *, albedo=0.0, roughness=0.5, specular=0.04, responses=(1.0, 1.0)):
     """The public path for one material; the result on the CPU, in float64."""
     device, count = light.irradiance.device, len(normal)
-    scalars = [torch.as_tensor(value).expand(count, 1).contiguous() for value in (roughness, specular, *responses)]
+    scalars = [
+        torch.as_tensor(value).expand(count, 1).contiguous() for value in (roughness, specular, *responses)
+    ]
     surface = (torch.full((count, 3), albedo), normal, *scalars, view)
     shaded = shade(*(values.to(device) for values in surface), light, color_space="raw")
     return type(shaded)(*(values.cpu().double() for values in shaded))
 
 
 def sky(function, device, size=64):
-    radiance = function(texel_directions(size)).float()[..., None].expand(-1, -1, -1, 3).contiguous().to(device)
+    radiance = (
+        function(texel_directions(size)).float()[..., None].expand(-1, -1, -1, 3).contiguous().to(device)
+    )
     return Environment(radiance, radiance)
 
 
@@ -49,17 +54,21 @@ def test_diffuse_sphere_under_half_a_sky(device, generator):
     normal, view = sphere(500, generator)
     light = sky(lambda d: (d[..., 1] > 0).float(), device).filtered()
     shaded = shade_sphere(light, normal, view, albedo=0.5, specular=0.0, responses=(1.0, 0.0))
-    # The part of the cosine lobe above the horizon; the error is the lookup's, h^2 / 4 for texels h = 0.12 rad apart.
+    # The part of the cosine lobe above the horizon; the error is the lookup's, h^2 / 4 for texels h = 0.12
+    # rad apart.
     assert (shaded.color - 0.5 * (1 + normal[:, 1:2]) / 2).abs().max() < 0.5 * 4e-3
 
 
 def test_diffuse_sphere_under_a_distant_lamp(device, generator):
     normal, view = sphere(500, generator)
     environment = sky(lambda d: 500.0 * (d @ LAMP > 0.999).float(), device)
-    shaded = shade_sphere(environment.filtered(), normal, view, albedo=0.5, specular=0.0, responses=(1.0, 0.0))
+    shaded = shade_sphere(
+        environment.filtered(), normal, view, albedo=0.5, specular=0.0, responses=(1.0, 0.0)
+    )
     flux = (environment.diffuse.cpu()[..., 0].double() * texel_solid_angles(64, dtype=torch.float64)).sum()
     difference = shaded.color[:, 0] - 0.5 * flux / math.pi * (normal @ LAMP).clamp(min=0)
-    # At the terminator, where the slope jumps by 1, texels h = 0.12 rad apart are h / 4 off; elsewhere h^2 / 8.
+    # At the terminator, where the slope jumps by 1, texels h = 0.12 rad apart are h / 4 off; elsewhere h^2 /
+    # 8.
     assert difference.abs().max() < 0.5 * 0.03 * flux / math.pi
     assert difference.square().mean().sqrt() < 0.5 * 3e-3 * flux / math.pi
 
@@ -80,7 +89,8 @@ def test_mirror_sphere_reflects_the_light_by_schlick(device, generator):
 
 
 def test_white_furnace(device, generator):
-    """Under a uniform light of 1 a white metal gives back what single scattering leaves: B_x + B_y, by Monte Carlo."""
+    """Under a uniform light of 1 a white metal gives back what single scattering leaves: B_x + B_y, by Monte
+    Carlo."""
     normal = unit(torch.randn(100, 3, generator=generator))
     view = unit(normal + 0.3 * torch.randn(100, 3, generator=generator))
     roughness = 0.1 + 0.9 * torch.rand(100, 1, generator=generator)
@@ -88,7 +98,9 @@ def test_white_furnace(device, generator):
     shaded = shade_sphere(light, normal, view, roughness=roughness, specular=1.0)
     assert (shaded.specular_light - 1).abs().max() < 1e-5
     cosine = (normal * view).sum(dim=-1).double().numpy()
-    truth = brdf_terms(roughness[:, 0].double().numpy(), cosine, samples=20000, generator=np.random.default_rng(0))
+    truth = brdf_terms(
+        roughness[:, 0].double().numpy(), cosine, samples=20000, generator=np.random.default_rng(0)
+    )
     allowed = 4 * truth.error.sum(axis=-1) + 1e-3
     assert (np.abs(shaded.color[:, 0].numpy() - truth.mean.sum(axis=-1)) < allowed).all()
 
@@ -96,10 +108,18 @@ def test_white_furnace(device, generator):
 @pytest.fixture
 def panorama():
     """A coloured sky with a soft lamp of some 30 degrees, as an artist would paint it, and a dark floor."""
-    polar, azimuth = np.meshgrid((np.arange(64) + 0.5) / 64 * np.pi, ((np.arange(128) + 0.5) / 128 - 0.5) * 2 * np.pi, indexing="ij")
-    directions = np.stack([np.sin(polar) * np.sin(azimuth), np.cos(polar), -np.sin(polar) * np.cos(azimuth)], axis=-1)
+    polar, azimuth = np.meshgrid(
+        (np.arange(64) + 0.5) / 64 * np.pi, ((np.arange(128) + 0.5) / 128 - 0.5) * 2 * np.pi, indexing="ij"
+    )
+    directions = np.stack(
+        [np.sin(polar) * np.sin(azimuth), np.cos(polar), -np.sin(polar) * np.cos(azimuth)], axis=-1
+    )
     lamp = 12 * np.exp(25 * (directions @ LAMP.double().numpy() - 1))
-    return Panorama(0.2 + 0.3 * (1 + directions) * np.array([0.6, 0.8, 1.0]) * (directions[..., 1:2] > -0.3) + lamp[..., None])
+    return Panorama(
+        0.2
+        + 0.3 * (1 + directions) * np.array([0.6, 0.8, 1.0]) * (directions[..., 1:2] > -0.3)
+        + lamp[..., None]
+    )
 
 
 @pytest.mark.parametrize("roughness", [0.25, 0.5, 0.75, 1.0])
@@ -110,9 +130,14 @@ def test_rough_sphere_matches_monte_carlo(device, generator, panorama, tmp_path,
     normal, view = sphere(40, generator)
     shaded = shade_sphere(light, normal, view, roughness=roughness)
     reflected = unit(2 * (normal * view).sum(dim=-1, keepdim=True) * normal - view).double().numpy()
-    truth = seen_light(panorama, reflected, np.full(40, roughness), samples=4000, generator=np.random.default_rng(0))
-    # Four standard errors, and the lookup between texels: h^2 / 8 of a lobe's curvature, under 1 % of the lamp.
-    assert (np.abs(shaded.specular_light.numpy() - truth.mean) < 4 * truth.error + 1e-2 * truth.mean.max()).all()
+    truth = seen_light(
+        panorama, reflected, np.full(40, roughness), samples=4000, generator=np.random.default_rng(0)
+    )
+    # Four standard errors, and the lookup between texels: h^2 / 8 of a lobe's curvature, under 1 % of the
+    # lamp.
+    assert (
+        np.abs(shaded.specular_light.numpy() - truth.mean) < 4 * truth.error + 1e-2 * truth.mean.max()
+    ).all()
 
 
 def test_colour_of_a_painted_sphere_matches_monte_carlo(device, generator, panorama, tmp_path):
@@ -140,7 +165,9 @@ def test_the_estimates_of_truth_are_right_themselves():
     random = np.random.default_rng(0)
     directions = unit(torch.randn(60, 3, generator=torch.Generator().manual_seed(0))).double().numpy()
     for roughness in (0.1, 0.5, 1.0):
-        estimate = seen_light(Panorama(np.ones((32, 64, 3))), directions, np.full(60, roughness), samples=500, generator=random)
+        estimate = seen_light(
+            Panorama(np.ones((32, 64, 3))), directions, np.full(60, roughness), samples=500, generator=random
+        )
         assert (np.abs(estimate.mean - 1) < 4 * estimate.error).all()
     pixels = np.zeros((64, 128, 3))
     pixels[20, 30] = 1000.0

@@ -32,9 +32,14 @@ def test_training_frames_get_mean_zero_and_deviation_one_and_none_is_clamped(gen
 
 def test_what_is_constant_or_varies_below_the_floor_becomes_zero(generator):
     below = 0.5 * STANDARD_DEVIATION_FLOOR
-    conditions = [Conditions(torch.tensor([0.0, sign * below, sign]), torch.zeros(2), torch.zeros(15)) for sign in (-1.0, 1.0)]
+    conditions = [
+        Conditions(torch.tensor([0.0, sign * below, sign]), torch.zeros(2), torch.zeros(15))
+        for sign in (-1.0, 1.0)
+    ]
     statistics = ConditionStatistics.of(conditions)
-    driven = statistics(Conditions(torch.tensor([9.0, 9.0, 0.5]), torch.full((2,), 9.0), torch.full((15,), -9.0)))
+    driven = statistics(
+        Conditions(torch.tensor([9.0, 9.0, 0.5]), torch.full((2,), 9.0), torch.full((15,), -9.0))
+    )
     torch.testing.assert_close(driven.translation, torch.tensor([0.0, 0.0, 0.5]))
     assert (driven.expression == 0).all()
     assert (driven.pose == 0).all()
@@ -43,7 +48,9 @@ def test_what_is_constant_or_varies_below_the_floor_becomes_zero(generator):
 def test_other_sequences_are_held_to_three_deviations_or_to_the_training_frames_extremes(generator):
     conditions = frames(generator)
     statistics = ConditionStatistics.of(conditions)
-    driven = statistics(Conditions(torch.full((3,), 100.0), torch.full((4,), -100.0), torch.full((15,), 100.0)))
+    driven = statistics(
+        Conditions(torch.full((3,), 100.0), torch.full((4,), -100.0), torch.full((15,), 100.0))
+    )
     assert CONDITION_LIMIT == 3.0
     assert driven.expression[0] == 0.0
     for name, sign in (("translation", 1.0), ("expression", -1.0), ("pose", 1.0)):
@@ -68,8 +75,12 @@ def test_adain_gives_each_channel_the_mean_and_deviation_that_the_condition_asks
     scale, shift = layer.affine(condition).view(2, 5)
     adapted = layer(features, condition)[0].flatten(1)
     torch.testing.assert_close(adapted.mean(1), shift)
-    # instance_norm divides by sqrt(variance + 1e-5): with a variance of 4 the deviation falls short by 1.25e-6
+    # instance_norm divides by sqrt(variance + 1e-5): with a variance of 4 the deviation falls short by
+    # 1.25e-6
     torch.testing.assert_close(adapted.std(1, correction=0), (1.0 + scale).abs(), rtol=2e-6, atol=0)
-    mean, deviation = features.mean((2, 3), keepdim=True), features.var((2, 3), correction=0, keepdim=True).add(1e-5).sqrt()
+    mean, deviation = (
+        features.mean((2, 3), keepdim=True),
+        features.var((2, 3), correction=0, keepdim=True).add(1e-5).sqrt(),
+    )
     expected = (features - mean) / deviation * (1.0 + scale.view(1, 5, 1, 1)) + shift.view(1, 5, 1, 1)
     torch.testing.assert_close(layer(features, condition), expected)

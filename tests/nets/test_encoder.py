@@ -7,14 +7,15 @@ import pytest
 import torch
 from transformers import ResNetBackbone, ResNetConfig
 
-from samira_warp.errors import UserError
 from samira_warp.nets import encode_reference
 from samira_warp.nets.encoder import DEFAULT_ENCODER
+from samira_warp.support.errors import UserError
 
 
 @pytest.fixture
 def no_network(monkeypatch):
-    """Whoever opens a connection fails the test: this is no OSError, which the encoder would take for a missing network."""
+    """Whoever opens a connection fails the test: this is no OSError, which the encoder would take for a
+    missing network."""
 
     def refuse(*arguments):
         raise AssertionError(f"a connection was opened: {arguments[1:]}")
@@ -57,23 +58,27 @@ def test_features_depend_on_the_image(image):
 
 def test_a_local_folder_needs_no_network(tmp_path, image, no_network):
     torch.manual_seed(5)
-    config = ResNetConfig(embedding_size=4, hidden_sizes=[4, 6, 8, 10], depths=[1, 1, 1, 1], layer_type="basic")
+    config = ResNetConfig(
+        embedding_size=4, hidden_sizes=[4, 6, 8, 10], depths=[1, 1, 1, 1], layer_type="basic"
+    )
     ResNetBackbone(config).save_pretrained(tmp_path)
     features, origin = encode_reference(image, encoder=str(tmp_path))
     assert origin == str(tmp_path)
     assert [level.shape[1] for level in features] == [4, 6, 8]
     torch.manual_seed(5)
     config.out_indices = [1, 2, 3]
-    pixels = (image.permute(2, 0, 1)[None] - torch.tensor([0.485, 0.456, 0.406]).view(1, 3, 1, 1)) / torch.tensor(
-        [0.229, 0.224, 0.225]
-    ).view(1, 3, 1, 1)
+    pixels = (
+        image.permute(2, 0, 1)[None] - torch.tensor([0.485, 0.456, 0.406]).view(1, 3, 1, 1)
+    ) / torch.tensor([0.229, 0.224, 0.225]).view(1, 3, 1, 1)
     with torch.no_grad():
         expected = ResNetBackbone(config).eval()(pixels).feature_maps
     for level, truth in zip(features, expected, strict=True):
         torch.testing.assert_close(level, torch.nn.functional.instance_norm(truth), atol=1e-5, rtol=1e-5)
 
 
-def test_an_unreachable_hub_falls_back_to_random_features_and_says_so(monkeypatch, caplog, tmp_path, image, no_network):
+def test_an_unreachable_hub_falls_back_to_random_features_and_says_so(
+    monkeypatch, caplog, tmp_path, image, no_network
+):
     monkeypatch.setattr(huggingface_hub.constants, "HF_HUB_OFFLINE", True)
     monkeypatch.setattr(huggingface_hub.constants, "HF_HUB_CACHE", str(tmp_path))
     with caplog.at_level(logging.WARNING, logger="samira_warp"):

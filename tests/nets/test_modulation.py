@@ -27,8 +27,12 @@ def literal(modulators, features, masks):
     for k, mask in enumerate(masks):
         part = slice(0, CHANNELS) if modulators.shared else slice(k * CHANNELS, (k + 1) * CHANNELS)
         hidden = functional.conv2d(features * mask, modulators.project.weight[part])
-        hidden = functional.silu(functional.conv2d(hidden, modulators.mix.weight[part], modulators.mix.bias[part], padding=1))
-        total = total + functional.conv2d(hidden, modulators.out.weight[part], modulators.out.bias[part]) * mask
+        hidden = functional.silu(
+            functional.conv2d(hidden, modulators.mix.weight[part], modulators.mix.bias[part], padding=1)
+        )
+        total = (
+            total + functional.conv2d(hidden, modulators.out.weight[part], modulators.out.bias[part]) * mask
+        )
     smooth = functional.conv2d(total, modulators.smooth.weight, padding=1, groups=CHANNELS)
     return functional.silu(functional.conv2d(smooth, modulators.blend.weight, modulators.blend.bias))
 
@@ -39,7 +43,9 @@ def test_grouped_convolutions_equal_one_masked_network_a_region(shared, device, 
     modulators = modulators_of(masks, shared=shared)
     features = torch.randn(1, IN_CHANNELS, SIZE, SIZE, generator=generator, dtype=torch.float64)
     expected = literal(modulators, features, masks)
-    torch.testing.assert_close(modulators.to(device)(features.to(device)).cpu(), expected, atol=1e-12, rtol=1e-12)
+    torch.testing.assert_close(
+        modulators.to(device)(features.to(device)).cpu(), expected, atol=1e-12, rtol=1e-12
+    )
 
 
 def test_a_region_sees_nothing_outside_its_mask(generator):
@@ -81,4 +87,6 @@ def test_no_routing_is_one_modulator_on_everything(generator):
     ones = torch.ones(1, SIZE, SIZE, dtype=torch.float64)
     modulators = modulators_of(ones)
     features = torch.randn(1, IN_CHANNELS, SIZE, SIZE, generator=generator, dtype=torch.float64)
-    torch.testing.assert_close(modulators(features), literal(modulators, features, ones), atol=1e-12, rtol=1e-12)
+    torch.testing.assert_close(
+        modulators(features), literal(modulators, features, ones), atol=1e-12, rtol=1e-12
+    )

@@ -9,7 +9,9 @@ VARIANTS = {
     "full": PLAIN,
     "no-routing": MotionSettings(width=8, region_width=4, condition_width=8, bands=3, routing=False),
     "no-modulation": MotionSettings(width=8, region_width=4, condition_width=8, bands=3, modulation=False),
-    "no-displacement": MotionSettings(width=8, region_width=4, condition_width=8, bands=3, displacement=False),
+    "no-displacement": MotionSettings(
+        width=8, region_width=4, condition_width=8, bands=3, displacement=False
+    ),
 }
 
 
@@ -53,7 +55,10 @@ def test_the_residual_starts_at_exactly_zero(name, device):
 def test_gradients_reach_every_parameter(name):
     network = network_of(VARIANTS[name])
     (network(displacement(0), conditions(0)) * torch.randn(6, SIZE, SIZE)).sum().backward()
-    norms = {parameter: 0.0 if value.grad is None else float(value.grad.norm()) for parameter, value in network.named_parameters()}
+    norms = {
+        parameter: 0.0 if value.grad is None else float(value.grad.norm())
+        for parameter, value in network.named_parameters()
+    }
     ablated = name == "no-displacement"
     unheard = {parameter for parameter in norms if ablated and parameter.startswith("displacement.")}
     silent = {parameter for parameter, norm in norms.items() if norm < 1e-6 * max(norms.values())}
@@ -77,7 +82,10 @@ def test_every_condition_changes_the_residual(name):
         assert (after - before).abs().max() > 1e-3, field
 
 
-@pytest.mark.parametrize(("name", "sees"), [("full", True), ("no-routing", True), ("no-modulation", True), ("no-displacement", False)])
+@pytest.mark.parametrize(
+    ("name", "sees"),
+    [("full", True), ("no-routing", True), ("no-modulation", True), ("no-displacement", False)],
+)
 def test_the_displacement_map_is_seen_unless_it_is_ablated(name, sees):
     network = network_of(VARIANTS[name])
     before, after = (network(displacement(seed), conditions(0)) for seed in (0, 1))
@@ -85,7 +93,9 @@ def test_the_displacement_map_is_seen_unless_it_is_ablated(name, sees):
 
 
 def test_ablations_have_the_modulators_that_they_name():
-    full, no_routing, no_modulation = (network_of(VARIANTS[name]).modulators for name in ("full", "no-routing", "no-modulation"))
+    full, no_routing, no_modulation = (
+        network_of(VARIANTS[name]).modulators for name in ("full", "no-routing", "no-modulation")
+    )
     assert (full.regions, full.mix.groups) == (REGIONS, REGIONS)
     assert (no_routing.regions, no_routing.mix.groups) == (1, 1)
     assert (no_routing.masks == 1).all()

@@ -6,11 +6,12 @@ from fractions import Fraction
 import av
 import numpy as np
 
-from samira_warp.images import read_image
+from samira_warp.io.images import read_image
 
 WIDTH, HEIGHT = 144, 96
 LEFT, TOP, SIDE = 60, 32, 64
-"""Where the subject's pictures stand in the video, as large as they are: at its foot, so that the neck goes on below it."""
+"""Where the subject's pictures stand in the video, as large as they are: at its foot, so that the neck goes
+on below it."""
 
 BACKDROP = np.array([0.1, 0.8, 0.2])
 
@@ -71,7 +72,7 @@ import json, math, shutil, sys
 from pathlib import Path
 
 from PIL import Image
-from samira_warp.images import read_image, write_png
+from samira_warp.io.images import read_image, write_png
 
 options = dict(zip(sys.argv[1::2], sys.argv[2::2], strict=True))
 assert set(options) == {{"--src_folder", "--tgt_folder", "--background-color"}}, options
@@ -126,8 +127,12 @@ def filmed(image):
 
 
 def make_vhap(folder, dataset):
-    """A folder laid out as VHAP's, which runs with this Python and knows a dataset; files named broken, slow or empty make it fail."""
-    for name, text in {"track.py": TRACK, "export_as_nerf_dataset.py": EXPORT.format(dataset=str(dataset))}.items():
+    """A folder laid out as VHAP's, which runs with this Python and knows a dataset; files named broken, slow
+    or empty make it fail."""
+    for name, text in {
+        "track.py": TRACK,
+        "export_as_nerf_dataset.py": EXPORT.format(dataset=str(dataset)),
+    }.items():
         (folder / "vhap").mkdir(parents=True, exist_ok=True)
         (folder / "vhap" / name).write_text(text)
     (folder / "asset" / "flame").mkdir(parents=True)
@@ -140,7 +145,8 @@ def vhap_options(folder):
 
 
 def make_hub(folder):
-    """A TORCH_HOME in which Robust Video Matting was fetched, and a folder of PYTHONPATH with a torchvision; the environment of both."""
+    """A TORCH_HOME in which Robust Video Matting was fetched, and a folder of PYTHONPATH with a torchvision;
+    the environment of both."""
     fetched = folder / "hub" / "PeterL1n_RobustVideoMatting_53d74c6"
     fetched.mkdir(parents=True)
     (fetched / "hubconf.py").write_text(NETWORK)

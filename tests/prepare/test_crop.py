@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
-from samira_warp.errors import UserError
 from samira_warp.prepare.config import parse_crop
 from samira_warp.prepare.crop import Box, Crop, crop_around, find_head, middle
+from samira_warp.support.errors import UserError
 
 
 def silhouette(*, width=160, height=120, x=80, top=20, hair=0):
-    """A person: a head of 30 x 40 pixels, a neck of 16 to 10 rows below it, shoulders to the picture's end; ``hair`` hides the neck."""
+    """A person: a head of 30 x 40 pixels, a neck of 16 to 10 rows below it, shoulders to the picture's end;
+    ``hair`` hides the neck."""
     rows, columns = np.mgrid[:height, :width] + 0.5
     head = ((columns - x) / 15) ** 2 + ((rows - top - 20) / 20) ** 2 < 1
     neck = (np.abs(columns - x) < 8) & (rows > top + 30) & (rows < top + 50)
@@ -73,7 +74,9 @@ def test_the_square_stays_in_the_picture(left, top):
 
 def test_one_bad_matte_of_many_does_not_widen_the_square():
     heads = [Box(400, 300, 480, 400)] * 30
-    assert crop_around([*heads, Box(0, 0, 1920, 1080)], width=1920, height=1080) == crop_around(heads, width=1920, height=1080)
+    assert crop_around([*heads, Box(0, 0, 1920, 1080)], width=1920, height=1080) == crop_around(
+        heads, width=1920, height=1080
+    )
 
 
 def test_the_middle_is_the_largest_square():

@@ -5,10 +5,10 @@ import pytest
 from PIL import Image
 
 from samira_warp.data.pictures import pictures_of
-from samira_warp.errors import UserError
-from samira_warp.images import read_image, write_png
+from samira_warp.io.images import read_image, write_png
 from samira_warp.prepare import matting
 from samira_warp.prepare.frames import write_whole
+from samira_warp.support.errors import UserError
 
 
 class Network:
@@ -104,14 +104,18 @@ def test_mattes_of_another_program_may_be_alpha_or_brightness_at_any_size(frames
 
 def test_a_frame_without_a_matte_is_named(frames, tmp_path):
     (tmp_path / "given").mkdir()
-    with pytest.raises(UserError, match=r"given: expected a matte of every frame, as 000000.png, found 0 pictures"):
+    with pytest.raises(
+        UserError, match=r"given: expected a matte of every frame, as 000000.png, found 0 pictures"
+    ):
         matting.copy_mattes(tmp_path / "given", frames, tmp_path / "mattes")
 
 
 def test_a_matte_of_another_shape_is_refused(frames, tmp_path):
     (tmp_path / "given").mkdir()
     write_png(tmp_path / "given" / "000000.png", np.ones((8, 16)))
-    with pytest.raises(UserError, match=r"given.000000.png: expected the shape of .*000000.jpg \(8 x 8\), found 16 x 8"):
+    with pytest.raises(
+        UserError, match=r"given.000000.png: expected the shape of .*000000.jpg \(8 x 8\), found 16 x 8"
+    ):
         matting.copy_mattes(tmp_path / "given", frames, tmp_path / "mattes")
 
 
@@ -122,7 +126,12 @@ def test_opaque_mattes_cover_everything(frames, tmp_path):
 
 
 @pytest.mark.parametrize(
-    "fault", [OSError("no route\nto host"), ImportError("operator torchvision::nms does not exist"), RuntimeError("Missing dependencies")]
+    "fault",
+    [
+        OSError("no route\nto host"),
+        ImportError("operator torchvision::nms does not exist"),
+        RuntimeError("Missing dependencies"),
+    ],
 )
 def test_what_keeps_the_network_away_is_said_on_one_line(monkeypatch, fault):
     def fail(*arguments, **options):

@@ -17,12 +17,12 @@ from stand_ins import HEIGHT, LEFT, SIDE, TOP, WIDTH, make_hub, vhap_options
 from subjects import train_arguments, train_command
 
 from samira_warp.check.report import check_dataset
-from samira_warp.cli import run
 from samira_warp.data import load_pixels, open_listing, open_sequence
-from samira_warp.images import read_image, write_png
+from samira_warp.io.images import read_image, write_png
 from samira_warp.prepare import frames, matting, tracking
 from samira_warp.prepare.__main__ import main
 from samira_warp.prepare.config import PrepareConfig
+from samira_warp.support.cli import run
 
 CROP = ("--crop", f"{LEFT},{TOP},{SIDE}")
 
@@ -57,13 +57,24 @@ def no_network(monkeypatch):
 
 def prepare(*arguments):
     """The verb in this process; its exit status."""
-    return run(main, PrepareConfig, program="python -m samira_warp.prepare", arguments=[*map(str, arguments), "--device", "cpu"])
+    return run(
+        main,
+        PrepareConfig,
+        program="python -m samira_warp.prepare",
+        arguments=[*map(str, arguments), "--device", "cpu"],
+    )
 
 
 def command(*arguments, environment=None):
     """The verb in a process of its own, begun."""
     words = [sys.executable, "-m", "samira_warp.prepare", *map(str, arguments), "--device", "cpu"]
-    return subprocess.Popen(words, env={**os.environ, **(environment or {})}, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    return subprocess.Popen(
+        words,
+        env={**os.environ, **(environment or {})},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
 
 
 def refusal(capsys, *arguments, status=2):
@@ -80,7 +91,11 @@ def refusal(capsys, *arguments, status=2):
 
 def tree(folder):
     """Every file's bytes by path, without what says when and where it was made."""
-    paths = [path for path in sorted(folder.rglob("*")) if path.is_file() and path.suffix in (".jpg", ".png", ".json", ".npz")]
+    paths = [
+        path
+        for path in sorted(folder.rglob("*"))
+        if path.is_file() and path.suffix in (".jpg", ".png", ".json", ".npz")
+    ]
     return {str(path.relative_to(folder)): path.read_bytes() for path in paths}
 
 
@@ -101,18 +116,23 @@ def albedo(tmp_path):
 def test_from_a_video_to_an_avatar(video, vhap, albedo, tmp_path):
     """The whole way in processes of their own, torch.hub and VHAP's scripts included."""
     out = tmp_path / "out"
-    ended = command(video, "--out", out, *vhap_options(vhap), "--albedo", albedo, environment=make_hub(tmp_path / "hub"))
+    ended = command(
+        video, "--out", out, *vhap_options(vhap), "--albedo", albedo, environment=make_hub(tmp_path / "hub")
+    )
     said = ended.communicate(timeout=300)[1]
     assert ended.returncode == 0, said
     assert "Traceback" not in said
     assert f"train --data {out / 'dataset'}" in said.splitlines()[-1]
     sequence = open_sequence(out / "dataset")
     assert len(sequence.frames) == 12
-    assert [frame.albedo_path is not None for frame in sequence.frames] == [number % 3 == 0 for number in range(12)]
+    assert [frame.albedo_path is not None for frame in sequence.frames] == [
+        number % 3 == 0 for number in range(12)
+    ]
     side = sequence.frames[0].camera.width
     x, y, cropped = json.loads((out / "stages" / "crop.json").read_text())["result"]["crop"]
     assert side == cropped
-    # the head is 0.23 m from crown to chin, at 1 m 41 pixels, and moves; the square is half again as large as where it goes with some neck
+    # the head is 0.23 m from crown to chin, at 1 m 41 pixels, and moves; the square is half again as large as
+    # where it goes with some neck
     assert 1.5 * 41 <= side <= 1.5 * SIDE
     assert x < LEFT + 8
     assert y < TOP + 8
@@ -125,7 +145,8 @@ def test_from_a_video_to_an_avatar(video, vhap, albedo, tmp_path):
 
 
 def test_what_was_filmed_comes_out(video, vhap, filmed_dataset, network, tmp_path):
-    """Where the crop is where the subject was tracked, the dataset is the subject's own, and check has nothing to say about it."""
+    """Where the crop is where the subject was tracked, the dataset is the subject's own, and check has
+    nothing to say about it."""
     assert prepare(video, "--out", tmp_path / "out", *vhap_options(vhap), *CROP) == 0
     made, filmed = open_sequence(tmp_path / "out" / "dataset"), open_sequence(filmed_dataset)
     assert check_dataset(made.root).findings == ()
@@ -134,7 +155,8 @@ def test_what_was_filmed_comes_out(video, vhap, filmed_dataset, network, tmp_pat
         assert torch.equal(frame.parameters.expression, original.parameters.expression)
         assert torch.equal(frame.camera.world_to_camera, original.camera.world_to_camera)
         ours, theirs = (load_pixels(each, width=SIDE, height=SIDE) for each in (frame, original))
-        # the matte is that of a stand-in: it errs where the subject's outline is mixed with green; two codecs take the rest
+        # the matte is that of a stand-in: it errs where the subject's outline is mixed with green; two codecs
+        # take the rest
         assert (ours.mask - theirs.mask).abs().mean() < 0.02
         assert (ours.image - theirs.image)[theirs.mask > 0.99].abs().mean() < 0.02
 
@@ -153,7 +175,11 @@ def test_without_vhap_all_before_it_is_made_and_it_is_named(video, vhap, network
     message = refusal(capsys, *arguments)
     assert "git clone https://github.com/ShenhanQian/VHAP" in message
     assert "--vhap" in message
-    assert len(list((tmp_path / "out/film/images").iterdir())) == len(list((tmp_path / "out/film/alpha_maps").iterdir())) == 12
+    assert (
+        len(list((tmp_path / "out/film/images").iterdir()))
+        == len(list((tmp_path / "out/film/alpha_maps").iterdir()))
+        == 12
+    )
     before = times(tmp_path / "out" / "film")
     assert prepare(*arguments, *vhap_options(vhap)) == 0
     assert times(tmp_path / "out" / "film") == before
@@ -169,7 +195,9 @@ def test_vhap_is_found_where_its_python_has_it(video, vhap, network, tmp_path, m
     assert tracking.installed_vhap("no-such-python") is None
 
 
-def test_without_matting_the_middle_is_kept_and_it_is_named(video, vhap, no_network, tmp_path, capsys, monkeypatch):
+def test_without_matting_the_middle_is_kept_and_it_is_named(
+    video, vhap, no_network, tmp_path, capsys, monkeypatch
+):
     arguments = (video, "--out", tmp_path / "out", *vhap_options(vhap))
     assert prepare(*arguments) == 0
     said = capsys.readouterr().err
@@ -234,7 +262,9 @@ def test_other_options_make_anew_what_follows_from_them(video, vhap, network, tm
     assert prepare(video, "--out", out, *vhap_options(vhap), "--size", 24, "--fps", 12.5) == 0
     frame, *rest = open_listing(out / "dataset").frames
     assert (frame.camera.width, len(rest)) == (24, 5)
-    assert json.loads((out / "stages" / "crop.json").read_text())["result"]["crop"] == [LEFT, TOP, SIDE], "what was given stays"
+    assert json.loads((out / "stages" / "crop.json").read_text())["result"]["crop"] == [LEFT, TOP, SIDE], (
+        "what was given stays"
+    )
 
 
 def test_an_interrupted_stage_goes_on(video, vhap, network, tmp_path, monkeypatch):
@@ -264,7 +294,8 @@ def test_an_interrupted_stage_goes_on(video, vhap, network, tmp_path, monkeypatc
 def interrupt(process):
     """Send Ctrl-C to the process alone (a terminal would send it to VHAP as well), and what it then says.
 
-    Python drops an interrupt that arrives while it frees an object, so a second one follows, as a person's would.
+    Python drops an interrupt that arrives while it frees an object, so a second one follows, as a person's
+    would.
     """
     for _ in range(5):
         process.send_signal(signal.SIGINT)
@@ -359,7 +390,9 @@ def test_wrong_options_are_one_line_before_anything_is_written(video, vhap, netw
     assert "--vhap-python" in refused("--vhap", vhap, "--vhap-python", "'unended")
     (tmp_path / "broken.mp4").write_bytes(video.read_bytes()[:2000])
     assert "broken.mp4: expected a video" in refusal(capsys, tmp_path / "broken.mp4", "--out", out)
-    assert "none.mp4: expected a video file, found no such file" in refusal(capsys, tmp_path / "none.mp4", "--out", out)
+    assert "none.mp4: expected a video file, found no such file" in refusal(
+        capsys, tmp_path / "none.mp4", "--out", out
+    )
     assert not out.exists()
 
 
@@ -372,7 +405,11 @@ def test_a_folder_of_other_things_is_left_alone(video, network, tmp_path, capsys
 
 
 def test_a_video_without_anybody_is_refused(video, network, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(matting, "load_matting", lambda device: lambda picture, state: (np.zeros(picture.shape[:2], np.float32), state))
+    monkeypatch.setattr(
+        matting,
+        "load_matting",
+        lambda device: lambda picture, state: (np.zeros(picture.shape[:2], np.float32), state),
+    )
     assert "nobody in its mattes" in refusal(capsys, video, "--out", tmp_path / "out")
 
 
@@ -393,6 +430,11 @@ def test_albedo_of_other_frames_is_refused(video, vhap, network, albedo, tmp_pat
 
 def test_the_last_line_of_a_log_is_what_a_progress_bar_left(tmp_path):
     log = tmp_path / "log"
-    for text, last in (("", ""), ("a\nb\n", "b"), ("a\n 10%\r 20%\r", "20%"), ("x" * 9000 + "\nend \n\n", "end")):
+    for text, last in (
+        ("", ""),
+        ("a\nb\n", "b"),
+        ("a\n 10%\r 20%\r", "20%"),
+        ("x" * 9000 + "\nend \n\n", "end"),
+    ):
         log.write_text(text)
         assert tracking._last_line(log) == last

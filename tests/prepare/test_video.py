@@ -7,21 +7,25 @@ import numpy as np
 import pytest
 from stand_ins import HEIGHT, LEFT, SIDE, TOP, WIDTH, filmed
 
-from samira_warp.errors import UserError
-from samira_warp.images import read_image
+from samira_warp.io.images import read_image
 from samira_warp.prepare.crop import Crop
 from samira_warp.prepare.frames import frame_name, sampled, thinned, write_frames
 from samira_warp.prepare.video import Picture, VideoFacts, read_facts, read_pictures
+from samira_warp.support.errors import UserError
 
 
 def ffmpeg(*arguments):
-    subprocess.run([imageio_ffmpeg.get_ffmpeg_exe(), "-loglevel", "error", "-y", *map(str, arguments)], check=True)
+    subprocess.run(
+        [imageio_ffmpeg.get_ffmpeg_exe(), "-loglevel", "error", "-y", *map(str, arguments)], check=True
+    )
 
 
 def test_pictures_come_in_their_order_and_colours(video, filmed_dataset):
     pictures = list(read_pictures(video))
     assert len(pictures) == 12
-    assert [picture.seconds for picture in pictures] == pytest.approx([number / 25 for number in range(12)], abs=1e-3)
+    assert [picture.seconds for picture in pictures] == pytest.approx(
+        [number / 25 for number in range(12)], abs=1e-3
+    )
     images = sorted((filmed_dataset / "images").iterdir())
     for number, picture in enumerate(pictures):
         # 8-bit YCbCr and a codec of which little is asked: a wrong matrix or range would be wrong by tens
@@ -46,8 +50,12 @@ def test_a_video_that_lies_on_its_side_is_put_upright(video, tmp_path, degrees):
 
 def test_frames_are_cropped_resized_and_numbered(video, tmp_path):
     crop = Crop(LEFT, TOP, SIDE)
-    assert write_frames(video, read_facts(video), tmp_path / "images", crop=crop, size=SIDE // 2, fps=None) == 12
-    assert sorted(path.name for path in (tmp_path / "images").iterdir()) == [frame_name(number) for number in range(12)]
+    assert (
+        write_frames(video, read_facts(video), tmp_path / "images", crop=crop, size=SIDE // 2, fps=None) == 12
+    )
+    assert sorted(path.name for path in (tmp_path / "images").iterdir()) == [
+        frame_name(number) for number in range(12)
+    ]
     for number, picture in enumerate(read_pictures(video)):
         kept = picture.pixels()[TOP : TOP + SIDE, LEFT : LEFT + SIDE].astype(float)
         kept = kept.reshape(SIDE // 2, 2, SIDE // 2, 2, 3).mean(axis=(1, 3))
@@ -101,7 +109,11 @@ def test_what_is_no_video_is_refused_by_name(video, tmp_path):
     whole = video.read_bytes()
     assert "no such file" in refused(tmp_path / "none.mp4")
     assert "a folder" in refused(tmp_path)
-    for name, content in {"text.mp4": b"hello", "empty.mp4": b"", "cut.mp4": whole[: len(whole) // 2]}.items():
+    for name, content in {
+        "text.mp4": b"hello",
+        "empty.mp4": b"",
+        "cut.mp4": whole[: len(whole) // 2],
+    }.items():
         (tmp_path / name).write_bytes(content)
         assert "Invalid data" in refused(tmp_path / name)
     ffmpeg("-f", "lavfi", "-i", "sine=d=1", tmp_path / "sound.m4a")
@@ -112,7 +124,17 @@ def test_what_is_no_video_is_refused_by_name(video, tmp_path):
 def long_video(tmp_path_factory):
     """Two seconds of noise with its index before its pictures, as videos for the web have it."""
     path = tmp_path_factory.mktemp("long") / "noise.mp4"
-    ffmpeg("-f", "lavfi", "-i", "nullsrc=s=64x64:d=2:r=25,geq=random(1)*255:128:128", "-g", 5, "-movflags", "faststart", path)
+    ffmpeg(
+        "-f",
+        "lavfi",
+        "-i",
+        "nullsrc=s=64x64:d=2:r=25,geq=random(1)*255:128:128",
+        "-g",
+        5,
+        "-movflags",
+        "faststart",
+        path,
+    )
     return path
 
 

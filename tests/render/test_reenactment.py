@@ -16,7 +16,7 @@ from subjects import render_command
 from samira_warp.avatar import Avatar, read_frames
 from samira_warp.data import open_sequence
 from samira_warp.head import read_template
-from samira_warp.images import read_image
+from samira_warp.io.images import read_image
 from samira_warp.render.config import RenderConfig
 from samira_warp.render.sources import select_frames
 
@@ -27,7 +27,10 @@ NAMES = np.array(["jawOpen", "browsUp", "smileLeft", "smileRight"])
 def others(tmp_path_factory):
     """Another person in every layout, who turns and opens the mouth farther than the avatar was seen to."""
     film = built_in_film(1)
-    return write_built_in(tmp_path_factory.mktemp("somebody else"), replace(film, rotation=2.5 * film.rotation, jaw=2.0 * film.jaw + 0.1))
+    return write_built_in(
+        tmp_path_factory.mktemp("somebody else"),
+        replace(film, rotation=2.5 * film.rotation, jaw=2.0 * film.jaw + 0.1),
+    )
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +41,9 @@ def other(others):
 def driven_by(data, avatar_folder, **options):
     """The frames that the render verb would show."""
     folder = avatar_folder / "avatar"
-    return select_frames(RenderConfig(avatar_folder, avatar_folder, data=data, **options), Avatar.load(folder), folder)
+    return select_frames(
+        RenderConfig(avatar_folder, avatar_folder, data=data, **options), Avatar.load(folder), folder
+    )
 
 
 def command(*arguments):
@@ -68,7 +73,10 @@ def test_the_render_verb_is_driven_by_another_person(built_in_run, other, tmp_pa
     ended = command(*options, "--out", tmp_path / "held")
     assert ended.returncode == 0, ended.stderr
     assert render_command(*options, "--no-clamp", "--out", tmp_path / "free") == 0
-    held, free = ({path.name: read_image(path, channels=3) for path in (tmp_path / name / "image").iterdir()} for name in ("held", "free"))
+    held, free = (
+        {path.name: read_image(path, channels=3) for path in (tmp_path / name / "image").iterdir()}
+        for name in ("held", "free")
+    )
     assert set(held) == set(free) == {"00005.png", "00006.png", "00007.png"}
     # turned by half a radian more the head shows another side
     assert all(np.abs(held[name] - free[name]).max() > 0.1 for name in held)
@@ -78,9 +86,13 @@ def test_the_render_verb_is_driven_by_another_person(built_in_run, other, tmp_pa
 def test_whatever_layout_drives_the_pictures_are_the_same(built_in_run, others, clamp):
     avatar, pictures = Avatar.load(built_in_run / "avatar"), {}
     for layout, root in others.items():
-        frames = driven_by(root, built_in_run, clamp=clamp, neutral_frame=1, expression_gain=0.8, split="last:3")
+        frames = driven_by(
+            root, built_in_run, clamp=clamp, neutral_frame=1, expression_gain=0.8, split="last:3"
+        )
         with torch.no_grad():
-            pictures[layout] = torch.stack([avatar.render(frame.parameters, frame.camera).image for frame in frames])
+            pictures[layout] = torch.stack(
+                [avatar.render(frame.parameters, frame.camera).image for frame in frames]
+            )
     expected = pictures.pop("VHAP export")
     assert len(expected) == 3
     for layout, found in pictures.items():
@@ -95,13 +107,16 @@ def test_pose_is_held_to_the_training_frames(built_in_run, other):
     for kept, loose in zip(held, free, strict=True):
         for name in ("rotation", "neck", "jaw", "eyes"):
             values = torch.stack([getattr(parameters, name) for parameters in seen])
-            expected = torch.minimum(torch.maximum(getattr(loose.parameters, name), values.amin(0)), values.amax(0))
+            expected = torch.minimum(
+                torch.maximum(getattr(loose.parameters, name), values.amin(0)), values.amax(0)
+            )
             assert torch.equal(getattr(kept.parameters, name), expected), name
         assert torch.equal(kept.parameters.expression, loose.parameters.expression)
         assert torch.equal(kept.parameters.translation, loose.parameters.translation)
     for name in ("rotation", "jaw"):
         assert any(
-            not torch.equal(getattr(kept.parameters, name), getattr(loose.parameters, name)) for kept, loose in zip(held, free, strict=True)
+            not torch.equal(getattr(kept.parameters, name), getattr(loose.parameters, name))
+            for kept, loose in zip(held, free, strict=True)
         )
 
 
@@ -111,7 +126,9 @@ def test_the_neutral_frame_is_counted_over_the_whole_sequence(built_in_run, othe
     relative = driven_by(other, built_in_run, clamp=False, neutral_frame=1, expression_gain=2.0)
     assert neutral.expression.any()
     for before, after in zip(plain, relative, strict=True):
-        assert torch.equal(after.parameters.expression, 2.0 * (before.parameters.expression - neutral.expression))
+        assert torch.equal(
+            after.parameters.expression, 2.0 * (before.parameters.expression - neutral.expression)
+        )
         assert torch.equal(after.parameters.jaw, before.parameters.jaw - neutral.jaw)
 
 
@@ -119,7 +136,9 @@ def test_the_avatars_own_person_is_not_held(built_in_run, built_in_datasets):
     tracked = open_sequence(built_in_datasets["VHAP export"])
     for driven, index in zip(driven_by(tracked.root, built_in_run), tracked.test, strict=True):
         for name in ("rotation", "jaw", "expression"):
-            assert torch.equal(getattr(driven.parameters, name), getattr(tracked.frames[index].parameters, name))
+            assert torch.equal(
+                getattr(driven.parameters, name), getattr(tracked.frames[index].parameters, name)
+            )
 
 
 def test_a_gain_works_without_another_sequence(built_in_run):
@@ -129,14 +148,18 @@ def test_a_gain_works_without_another_sequence(built_in_run):
 
 
 def test_most_of_the_built_in_names_are_enough(built_in_run, other, tmp_path, capsys):
-    """Eight of ten expressions carry over; what is left out of a driver's is said, with less it is refused."""
+    """Eight of ten expressions carry over; what is left out of a driver's is said, with less it is
+    refused."""
     names = read_template(other / "template.npz").expression_names
     for count, status in ((len(names) // 5, 0), (len(names) // 5 + 1, 2)):
         driver = shutil.copytree(other, tmp_path / str(count))
         strangers = [f"stranger{index}" for index in range(count)]
         with_names(driver, [*strangers, *names[count:]])
         capsys.readouterr()
-        assert render_command("--avatar", built_in_run, "--data", driver, "--out", tmp_path / f"out {count}") == status
+        assert (
+            render_command("--avatar", built_in_run, "--data", driver, "--out", tmp_path / f"out {count}")
+            == status
+        )
         said = capsys.readouterr().err
         assert (f"note: the avatar has no expressions {', '.join(strangers)}" in said) == (status == 0)
     assert said.splitlines()[-1].startswith(f"error: {driver / 'template.npz'}: ")
@@ -149,7 +172,9 @@ def test_another_template_drives_by_the_names_of_its_expressions(tiny_run, tiny_
     assert render_command("--avatar", avatar, "--data", driver, "--out", tmp_path / "out") == 0
     assert "note:" not in capsys.readouterr().err
     config = RenderConfig(avatar, tmp_path, data=driver)
-    for driven, tracked in zip(select_frames(config, Avatar.load(avatar), avatar), open_sequence(driver).frames[4:], strict=True):
+    for driven, tracked in zip(
+        select_frames(config, Avatar.load(avatar), avatar), open_sequence(driver).frames[4:], strict=True
+    ):
         assert torch.equal(driven.parameters.expression, tracked.parameters.expression.flip(0))
 
 
@@ -158,10 +183,15 @@ def test_what_names_do_not_carry_over_is_said(tiny_run, tiny_dataset, tmp_path, 
     names = [*NAMES, "puff"]
     avatar = renamed_avatar(tiny_run, tmp_path / "avatar", NAMES)
     driver = shutil.copytree(tiny_dataset, tmp_path / "driver")
-    change_arrays(driver / "template.npz", shapedirs=lambda dirs: np.concatenate([dirs, dirs[:, :, -1:]], axis=2))
+    change_arrays(
+        driver / "template.npz", shapedirs=lambda dirs: np.concatenate([dirs, dirs[:, :, -1:]], axis=2)
+    )
     with_names(driver, names)
     for path in [*driver.glob("flame_param/*.npz"), driver / "canonical_flame_param.npz"]:
-        change_arrays(path, expr=lambda values: np.pad(values, [(0, 0), (0, len(names) - N_EXPRESSION)], constant_values=0.5))
+        change_arrays(
+            path,
+            expr=lambda values: np.pad(values, [(0, 0), (0, len(names) - N_EXPRESSION)], constant_values=0.5),
+        )
     assert render_command("--avatar", avatar, "--data", driver, "--out", tmp_path / "out") == 0
     assert "note: the avatar has no expressions puff" in capsys.readouterr().err
 
@@ -176,7 +206,10 @@ def refusal(capsys, *arguments):
 
 
 def test_another_template_without_names_is_refused(tiny_run, tiny_dataset, tmp_path):
-    driver = with_names(shutil.copytree(tiny_dataset, tmp_path / "driver"), [f"expr_{index:03d}" for index in range(N_EXPRESSION)])
+    driver = with_names(
+        shutil.copytree(tiny_dataset, tmp_path / "driver"),
+        [f"expr_{index:03d}" for index in range(N_EXPRESSION)],
+    )
     ended = command("--avatar", tiny_run, "--data", driver, "--out", tmp_path / "out")
     assert ended.returncode == 2
     assert "Traceback" not in ended.stderr

@@ -1,4 +1,5 @@
-"""``python -m samira_warp.render`` under lights of a user's: maps, pairs, folders, turntables, backgrounds, and materials changed."""
+"""``python -m samira_warp.render`` under lights of a user's: maps, pairs, folders, turntables, backgrounds,
+and materials changed."""
 
 import functools
 import subprocess
@@ -13,7 +14,7 @@ from data.tiny import tiny_template
 from subjects import camera, render_command
 
 from samira_warp.avatar import Avatar, read_frames
-from samira_warp.images import image_size, read_image, write_exr, write_png
+from samira_warp.io.images import image_size, read_image, write_exr, write_png
 from samira_warp.light import Environment, decode_srgb, encode_srgb
 from samira_warp.light.equirect import equirect_directions
 from samira_warp.light.radiance_map import RadianceMap
@@ -25,14 +26,16 @@ FRAME = "00004_00"
 
 @pytest.fixture(autouse=True)
 def small_environments(monkeypatch):
-    """Environment maps as cubes of 64 texels, as learned lights are: the default's 256 take seconds to filter."""
+    """Environment maps as cubes of 64 texels, as learned lights are: the default's 256 take seconds to
+    filter."""
     monkeypatch.setattr(Environment, "load", functools.partial(Environment.load, size=64))
     monkeypatch.setattr(lights, "SHEET_SIZE", 64)
 
 
 @pytest.fixture(scope="module")
 def maps(tmp_path_factory):
-    """A folder of three maps, bright on the right, above and straight ahead of the camera, and a file that is none."""
+    """A folder of three maps, bright on the right, above and straight ahead of the camera, and a file that is
+    none."""
     folder = tmp_path_factory.mktemp("maps")
     directions = equirect_directions(32).numpy()
     for name, axis in {"right": (1, 0, 0), "above": (0, 1, 0), "ahead": (0, 0, -1)}.items():
@@ -66,8 +69,12 @@ def test_the_learned_light_by_its_files_is_the_learned_light(tiny_run, tmp_path)
 
 
 def test_any_light_turns(tiny_run, tmp_path, maps):
-    """A map that is bright on the camera's right, turned, lights the face or the back of the head; the learned light turns as well."""
-    images = {turn: render(tiny_run, tmp_path / str(turn), "--env", maps / "right.exr", "--rotate", turn) for turn in (-90, 0, 90)}
+    """A map that is bright on the camera's right, turned, lights the face or the back of the head; the
+    learned light turns as well."""
+    images = {
+        turn: render(tiny_run, tmp_path / str(turn), "--env", maps / "right.exr", "--rotate", turn)
+        for turn in (-90, 0, 90)
+    }
     front, side, back = (picture(images[turn]).mean() for turn in (-90, 0, 90))
     frames = read_frames(tiny_run)
     baked = Environment.load(maps / "right.exr", rotate=-90.0)
@@ -92,7 +99,9 @@ def test_auto_exposure_does_not_know_how_bright_the_map_is(tiny_run, tmp_path, m
     learned = picture(render(tiny_run, tmp_path / "learned", "--exposure", "auto"))
     avatar, frame = Avatar.load(tiny_run), read_frames(tiny_run)[0]
     with torch.no_grad():
-        expected = avatar.render(frame.parameters, frame.camera, avatar.light.environment().exposed("auto")).image
+        expected = avatar.render(
+            frame.parameters, frame.camera, avatar.light.environment().exposed("auto")
+        ).image
     np.testing.assert_allclose(learned, expected.clamp(0, 1).numpy(), atol=0.51 / 255)
 
 
@@ -109,7 +118,9 @@ def test_the_environment_is_behind_the_head_as_bright_and_as_turned_as_its_light
         seen = picture(render(tiny_run, tmp_path / str(turn), *options, "--rotate", turn))
         linear = Environment.load(maps / "right.exr", rotate=turn, exposure=0.4).background(camera)
         # values are encoded before they are interpolated, in a map whose steps are small here
-        np.testing.assert_allclose(background(seen), background(encode_srgb(linear).clamp(max=1).numpy()), atol=0.02)
+        np.testing.assert_allclose(
+            background(seen), background(encode_srgb(linear).clamp(max=1).numpy()), atol=0.02
+        )
     dark, bright = (background(picture(tmp_path / str(turn))).mean() for turn in (0, 90))
     assert bright > dark + 0.3
 
@@ -123,7 +134,9 @@ def test_a_picture_behind_the_head_keeps_its_proportions(tiny_run, tmp_path):
     for name in ("wide.png", "wide.exr"):
         image = picture(render(tiny_run, tmp_path / f"out {name}", "--background", tmp_path / name))
         # its middle third fills the square frame
-        np.testing.assert_allclose(background(image), np.broadcast_to((0.2, 0.6, 1.0), (12, 6, 3)), atol=1 / 255)
+        np.testing.assert_allclose(
+            background(image), np.broadcast_to((0.2, 0.6, 1.0), (12, 6, 3)), atol=1 / 255
+        )
 
 
 def test_a_folder_of_maps_makes_a_labelled_sheet(tiny_run, tmp_path, maps, capsys):
@@ -135,7 +148,9 @@ def test_a_folder_of_maps_makes_a_labelled_sheet(tiny_run, tmp_path, maps, capsy
     assert sheet.shape[0] > 2 * 32
     gap = 2
     for index, name in enumerate(("above", "ahead", "right")):
-        alone = picture(render(tiny_run, tmp_path / name, "--env", maps / f"{name}.exr", "--background", "env"))
+        alone = picture(
+            render(tiny_run, tmp_path / name, "--env", maps / f"{name}.exr", "--background", "env")
+        )
         row, column = divmod(index, 2)
         top, left = gap + row * (32 + 14 + gap), gap + column * (32 + gap)
         np.testing.assert_allclose(sheet[top : top + 32, left : left + 32], alone, atol=1.01 / 255)
@@ -153,7 +168,9 @@ def test_a_sheet_reads_each_map_once_and_tells_two_of_one_name_apart(tiny_run, t
         (folder / name).write_bytes((maps / name).read_bytes())
     OpenImageIO.ImageBuf(read_image(maps / "right.exr", channels=3)).write(str(folder / "right.hdr"))
     reads, read = [], RadianceMap.read
-    monkeypatch.setattr(RadianceMap, "read", lambda path, **options: reads.append(path.name) or read(path, **options))
+    monkeypatch.setattr(
+        RadianceMap, "read", lambda path, **options: reads.append(path.name) or read(path, **options)
+    )
     render(tiny_run, tmp_path / "out", "--env", folder)
     assert reads == ["above.exr", "right.exr", "right.hdr"]
     assert lights.sheet_labels([folder / name for name in reads]) == ["above", "right.exr", "right.hdr"]
@@ -200,7 +217,10 @@ def test_the_light_goes_round_a_moving_head(tiny_run, tmp_path, maps):
     assert sorted(path.stem for path in (out / "image").iterdir()) == [FRAME, "00005_00"]
     assert video_frames(out / "normal.mp4") == 2
     second = tmp_path / "second"
-    assert render_command("--avatar", tiny_run, "--out", second, *options[:2], "--frames", 1, "--rotate", 90) == 0
+    assert (
+        render_command("--avatar", tiny_run, "--out", second, *options[:2], "--frames", 1, "--rotate", 90)
+        == 0
+    )
     np.testing.assert_array_equal(picture(out, "00005_00"), picture(second, "00005_00"))
 
 
@@ -215,15 +235,25 @@ def test_materials_change_where_they_are_told_to(tiny_run, tmp_path):
     ]:
         after = render(tiny_run, tmp_path / "".join(options), *layers, *options)
         # pictures lie on white where alpha is not quite 1, and are rounded to 256 levels twice
-        np.testing.assert_allclose(picture(after, layer=layer)[inside], change(picture(before, layer=layer)[inside]), atol=0.01 + 2 / 255)
+        np.testing.assert_allclose(
+            picture(after, layer=layer)[inside],
+            change(picture(before, layer=layer)[inside]),
+            atol=0.01 + 2 / 255,
+        )
         for other in {"albedo", "roughness", "specular"} - {layer}:
             np.testing.assert_array_equal(picture(after, layer=other), picture(before, layer=other))
 
 
-@pytest.mark.parametrize("regions", [("--region", "forehead"), ("--region", "forehead,nose"), ("--region", "forehead", "--region", "nose")])
+@pytest.mark.parametrize(
+    "regions",
+    [("--region", "forehead"), ("--region", "forehead,nose"), ("--region", "forehead", "--region", "nose")],
+)
 def test_a_region_is_painted_and_the_rest_is_not(tiny_run, tmp_path, regions):
     before = picture(render(tiny_run, tmp_path / "before", "--layers", "albedo"), layer="albedo")
-    after = picture(render(tiny_run, tmp_path / "after", "--layers", "albedo", "--albedo", "#ff0000", *regions), layer="albedo")
+    after = picture(
+        render(tiny_run, tmp_path / "after", "--layers", "albedo", "--albedo", "#ff0000", *regions),
+        layer="albedo",
+    )
     changed = np.abs(after - before).max(axis=2) > 0.1
     # the made-up head faces the camera: its forehead is above the middle, its nose in it, its neck below
     assert changed[6:13].any()
@@ -247,9 +277,33 @@ def test_materials_change_on_a_sheet_and_a_turntable_as_well(tiny_run, tmp_path,
 
 def test_the_command_itself(tiny_run, tmp_path, maps):
     """A real process, with the sheet's real size."""
-    options = ["--exposure", "auto", "--background", "env", "--albedo", "x1.1", "--region", "lips", "--device", "cpu"]
-    command = [sys.executable, "-m", "samira_warp.render", "--avatar", tiny_run, "--out", tmp_path / "out", "--env", maps, *options]
+    options = [
+        "--exposure",
+        "auto",
+        "--background",
+        "env",
+        "--albedo",
+        "x1.1",
+        "--region",
+        "lips",
+        "--device",
+        "cpu",
+    ]
+    command = [
+        sys.executable,
+        "-m",
+        "samira_warp.render",
+        "--avatar",
+        tiny_run,
+        "--out",
+        tmp_path / "out",
+        "--env",
+        maps,
+        *options,
+    ]
     done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr
     assert done.stdout == ""
-    assert [path.relative_to(tmp_path / "out").as_posix() for path in (tmp_path / "out").rglob("*.*")] == ["image/contact_sheet.png"]
+    assert [path.relative_to(tmp_path / "out").as_posix() for path in (tmp_path / "out").rglob("*.*")] == [
+        "image/contact_sheet.png"
+    ]

@@ -13,16 +13,22 @@ from data.tiny import make_tiny_dataset
 from subjects import camera, parameters, small_avatar
 from subjects import render_command as render
 
-from samira_warp.cli import run
-from samira_warp.errors import UserError
 from samira_warp.evaluate.__main__ import EvaluateConfig
 from samira_warp.evaluate.__main__ import main as evaluate_main
-from samira_warp.images import read_image, write_exr, write_png
+from samira_warp.io.images import read_image, write_exr, write_png
 from samira_warp.light import Environment, decode_srgb, encode_srgb
 from samira_warp.render.config import parse_frames
 from samira_warp.render.layers import Layer, layer_image
+from samira_warp.support.cli import run
+from samira_warp.support.errors import UserError
 
-WITH_VALUES = {"depth": 1, "irradiance": 3, "specular_light": 3, "residual_position": 3, "residual_rotation": 3}
+WITH_VALUES = {
+    "depth": 1,
+    "irradiance": 3,
+    "specular_light": 3,
+    "residual_position": 3,
+    "residual_rotation": 3,
+}
 """Layers that come as .exr too, and their channels."""
 
 
@@ -64,7 +70,9 @@ def test_every_layer_is_written_under_the_datasets_names(everything):
 
 def test_layers_have_the_images_size_and_residuals_the_maps(everything):
     for layer in get_args(Layer):
-        assert first(everything, layer).shape == (32, 32, 3), layer  # the small preset's UV maps have the same size
+        assert first(everything, layer).shape == (32, 32, 3), (
+            layer
+        )  # the small preset's UV maps have the same size
     for layer, channels in WITH_VALUES.items():
         values = read_image(everything / layer / "00004_00.exr", channels=channels)
         assert values.shape == (32, 32, channels)
@@ -119,13 +127,30 @@ def test_learned_light_is_the_default_and_exposure_one_changes_nothing(everythin
 
 
 def test_an_environment_relights(everything, tiny_run, tmp_path, light):
-    assert render("--avatar", tiny_run, "--out", tmp_path, "--env", light, "--layers", "image", "irradiance", "albedo") == 0
+    assert (
+        render(
+            "--avatar",
+            tiny_run,
+            "--out",
+            tmp_path,
+            "--env",
+            light,
+            "--layers",
+            "image",
+            "irradiance",
+            "albedo",
+        )
+        == 0
+    )
     assert np.abs(first(tmp_path) - first(everything)).max() > 0.05
     np.testing.assert_array_equal(first(tmp_path, "albedo"), first(everything, "albedo"))
     alpha = first(everything, "alpha")[..., 0]
     irradiance = read_image(tmp_path / "irradiance" / "00004_00.exr", channels=3)
     columns = np.where(alpha > 0.9)[1]
-    left, right = (irradiance[(alpha > 0.9) & side] for side in (np.arange(32) < columns.mean() - 3, np.arange(32) > columns.mean() + 3))
+    left, right = (
+        irradiance[(alpha > 0.9) & side]
+        for side in (np.arange(32) < columns.mean() - 3, np.arange(32) > columns.mean() + 3)
+    )
     # the bright quarter is to the camera's right, about +x
     assert right.mean() > 1.3 * left.mean()
     assert right[:, 0].mean() > right[:, 2].mean()
@@ -135,7 +160,21 @@ def test_a_whole_turn_is_none_and_half_a_turn_swaps_the_sides(tiny_run, tmp_path
     images = {}
     for degrees in (0, 360, 180):
         folder = tmp_path / str(degrees)
-        assert render("--avatar", tiny_run, "--out", folder, "--env", light, "--rotate", degrees, "--layers", "irradiance") == 0
+        assert (
+            render(
+                "--avatar",
+                tiny_run,
+                "--out",
+                folder,
+                "--env",
+                light,
+                "--rotate",
+                degrees,
+                "--layers",
+                "irradiance",
+            )
+            == 0
+        )
         images[degrees] = read_image(folder / "irradiance" / "00004_00.exr", channels=3)
     np.testing.assert_allclose(images[360], images[0], atol=1e-5)
     left, right = images[0][:, :14], images[0][:, 18:]
@@ -149,14 +188,27 @@ def test_exposure_two_doubles_the_linear_light(tiny_run, tmp_path, light, small_
         values = []
         for exposure in (1, 2):
             folder = tmp_path / f"{name}{exposure}"
-            arguments = ["--avatar", tiny_run, "--out", folder, "--exposure", exposure, "--background", "black", *options]
+            arguments = [
+                "--avatar",
+                tiny_run,
+                "--out",
+                folder,
+                "--exposure",
+                exposure,
+                "--background",
+                "black",
+                *options,
+            ]
             assert render(*arguments, "--layers", "irradiance", "image") == 0
             values.append((read_image(folder / "irradiance" / "00004_00.exr", channels=3), first(folder)))
         (irradiance, image), (irradiance_2, image_2) = values
         np.testing.assert_allclose(irradiance_2, 2 * irradiance, rtol=1e-4, atol=1e-6)
         unclipped = (image_2 < 0.99) & (image > 0.3)
-        ratio = decode_srgb(torch.from_numpy(image_2[unclipped])) / decode_srgb(torch.from_numpy(image[unclipped]))
-        # twice the linear value but for the rim, which is composited over black; half a level of 8 bits at 0.3 is 1.6 % linear
+        ratio = decode_srgb(torch.from_numpy(image_2[unclipped])) / decode_srgb(
+            torch.from_numpy(image[unclipped])
+        )
+        # twice the linear value but for the rim, which is composited over black; half a level of 8 bits at
+        # 0.3 is 1.6 % linear
         assert abs(float(ratio.median()) - 2) < 0.05
 
 
@@ -172,14 +224,28 @@ def test_backgrounds(tiny_run, tmp_path, light, everything, small_environments):
         images[name] = first(folder)
     assert (images["white"][outside] == 1).all()
     assert (images["black"][outside] == 0).all()
-    np.testing.assert_allclose(images[picture][outside], np.tile([51, 102, 204], (outside.sum(), 1)) / 255, atol=1e-6)
+    np.testing.assert_allclose(
+        images[picture][outside], np.tile([51, 102, 204], (outside.sum(), 1)) / 255, atol=1e-6
+    )
     # the narrow view straight ahead sees the dim part of the map: 0.2 linear is 0.484 in sRGB
     np.testing.assert_allclose(images["env"][outside], 0.4845, atol=0.01)
     assert all(np.abs(image[covered] - images["white"][covered]).max() < 0.04 for image in images.values())
 
 
 def test_a_video_holds_every_frame(tiny_run, tmp_path):
-    arguments = ["--avatar", tiny_run, "--out", tmp_path, "--split", "train", "--resolution", 33, "--layers", "image", "alpha"]
+    arguments = [
+        "--avatar",
+        tiny_run,
+        "--out",
+        tmp_path,
+        "--split",
+        "train",
+        "--resolution",
+        33,
+        "--layers",
+        "image",
+        "alpha",
+    ]
     assert render(*arguments, "--video", "--fps", 10) == 0
     for layer in ("image", "alpha"):
         count, seconds = imageio_ffmpeg.count_frames_and_secs(str(tmp_path / f"{layer}.mp4"))
@@ -190,13 +256,36 @@ def test_a_video_holds_every_frame(tiny_run, tmp_path):
 
 
 def test_frames_are_sliced(tiny_run, tmp_path):
-    assert render("--avatar", tiny_run, "--out", tmp_path, "--split", "train", "--frames", "1::2", "--resolution", 16) == 0
+    assert (
+        render(
+            "--avatar",
+            tiny_run,
+            "--out",
+            tmp_path,
+            "--split",
+            "train",
+            "--frames",
+            "1::2",
+            "--resolution",
+            16,
+        )
+        == 0
+    )
     assert sorted(path.stem for path in (tmp_path / "image").iterdir()) == ["00001_00", "00003_00"]
 
 
 @pytest.mark.parametrize(
     ("text", "expected"),
-    [(None, "012345"), ("1:4", "123"), ("::2", "024"), ("-2:", "45"), ("2", "2"), ("-1", "5"), ("::-1", "543210"), (":", "012345")],
+    [
+        (None, "012345"),
+        ("1:4", "123"),
+        ("::2", "024"),
+        ("-2:", "45"),
+        ("2", "2"),
+        ("-1", "5"),
+        ("::-1", "543210"),
+        (":", "012345"),
+    ],
 )
 def test_frame_grammar(text, expected):
     assert "012345"[parse_frames(text)] == expected
@@ -215,7 +304,22 @@ def test_another_sequence_drives_the_avatar(tiny_run, tmp_path, everything):
         with np.load(path) as archive:
             arrays = dict(archive)
         np.savez(path, **{**arrays, "shape": arrays["shape"] + 0.3, "expr": arrays["expr"] * 0})
-    assert render("--avatar", tiny_run, "--out", tmp_path / "out", "--data", driver, "--split", "0.5", "--layers", "image", "alpha") == 0
+    assert (
+        render(
+            "--avatar",
+            tiny_run,
+            "--out",
+            tmp_path / "out",
+            "--data",
+            driver,
+            "--split",
+            "0.5",
+            "--layers",
+            "image",
+            "alpha",
+        )
+        == 0
+    )
     assert sorted(path.stem for path in (tmp_path / "out" / "image").iterdir()) == ["00002_00", "00003_00"]
     # rendered at the size that the avatar was trained at, by the driver's camera
     assert first(tmp_path / "out", name="00002_00").shape == (32, 32, 3)
@@ -311,7 +415,9 @@ def files(tmp_path):
     ],
     ids=lambda value: "=".join(value) if isinstance(value, list) else "",
 )
-def test_what_cannot_be_used_is_named_before_anything_is_written(tiny_run, files, capsys, options, named, monkeypatch):
+def test_what_cannot_be_used_is_named_before_anything_is_written(
+    tiny_run, files, capsys, options, named, monkeypatch
+):
     monkeypatch.chdir(files)
     message = refused(capsys, "--avatar", tiny_run, "--out", files / "out", *options)
     assert named in message

@@ -1,4 +1,5 @@
-"""Where the frames to render come from: the avatar's own, or a dataset's folder, as the avatar was trained on it."""
+"""Where the frames to render come from: the avatar's own, or a dataset's folder, as the avatar was trained on
+it."""
 
 import json
 import shutil
@@ -10,9 +11,9 @@ from data.tiny import make_tiny_dataset, tiny_template
 from subjects import render_command, train_arguments, train_command
 
 from samira_warp.avatar import Avatar, read_frames
-from samira_warp.cli import run
 from samira_warp.evaluate.__main__ import EvaluateConfig
 from samira_warp.evaluate.__main__ import main as evaluate_main
+from samira_warp.support.cli import run
 
 
 def pictures(folder):

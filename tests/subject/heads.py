@@ -5,10 +5,10 @@ import functools
 import numpy as np
 import torch
 
+from samira_subject.anatomy.assembly import PARTS
+from samira_subject.anatomy.mouth import LINE
+from samira_subject.head import ORIGIN, build_head
 from samira_warp.head import HeadModel
-from samira_warp.subject.anatomy.assembly import PARTS
-from samira_warp.subject.anatomy.mouth import LINE
-from samira_warp.subject.head import ORIGIN, build_head
 
 MOUTH = (np.arange(-22.0, 22.1, 0.83), np.arange(LINE - 14.0, LINE + 14.0, 0.71))
 FACE = (np.arange(-62.0, 62.0, 1.3), np.arange(-112.0, 62.0, 1.4))
@@ -31,14 +31,20 @@ def pose(*, identity=None, jaw=0.0, eyes=(0.0,) * 6, **expressions):
         rest.expression[build_head().template.expression_names.index(name)] = weight
     rest.jaw[0] = jaw
     rest.eyes[:] = torch.tensor(eyes)
-    shape = torch.zeros(model().n_shape, dtype=torch.float64) if identity is None else torch.as_tensor(identity, dtype=torch.float64)
+    shape = (
+        torch.zeros(model().n_shape, dtype=torch.float64)
+        if identity is None
+        else torch.as_tensor(identity, dtype=torch.float64)
+    )
     return 1000.0 * model().vertices(rest, shape).vertices.numpy() - ORIGIN
 
 
 def expression(name):
     """(V, 3) millimetres."""
     template = build_head().template
-    return 1000.0 * template.shapedirs[:, :, template.n_shape + template.expression_names.index(name)].astype(np.float64)
+    return 1000.0 * template.shapedirs[:, :, template.n_shape + template.expression_names.index(name)].astype(
+        np.float64
+    )
 
 
 def people(count):
@@ -65,8 +71,8 @@ def normals(vertices, faces):
 def faces_seen(vertices, x, y, *, bearing=0.0):
     """(X, Y) face that rays through a grid of places meet first, -1 for none.
 
-    The viewer is far away, as many degrees to the subject's left of the front as ``bearing`` says; ``x`` and ``y`` increase, to the
-    viewer's right and up.
+    The viewer is far away, as many degrees to the subject's left of the front as ``bearing`` says; ``x`` and
+    ``y`` increase, to the viewer's right and up.
     """
     faces = build_head().template.faces
     angle = np.radians(bearing)
@@ -95,15 +101,21 @@ def faces_seen(vertices, x, y, *, bearing=0.0):
 
 
 def share_facing(vertices, x, y, *, bearing=0.0):
-    """Share of what a viewer sees of the head at a grid of places that turns its outside to them, and how many places that is."""
+    """Share of what a viewer sees of the head at a grid of places that turns its outside to them, and how
+    many places that is."""
     seen = faces_seen(vertices, x, y, bearing=bearing)
     angle = np.radians(bearing)
-    towards = normals(vertices, build_head().template.faces)[seen[seen >= 0]] @ [np.sin(angle), 0.0, np.cos(angle)]
+    towards = normals(vertices, build_head().template.faces)[seen[seen >= 0]] @ [
+        np.sin(angle),
+        0.0,
+        np.cos(angle),
+    ]
     return (towards > 0).mean(), len(towards)
 
 
 def parts_seen(vertices, x, y):
-    """Names of the parts that a viewer far in front sees at a grid of places; None is among them where there is nothing."""
+    """Names of the parts that a viewer far in front sees at a grid of places; None is among them where there
+    is nothing."""
     seen = faces_seen(vertices, x, y)
     # a face that joins skin and the lining of the mouth has its outermost corners on the lips
     numbers = anatomy().part[build_head().template.faces].min(axis=1)[seen[seen >= 0]]

@@ -2,8 +2,8 @@
 
 import warp as wp
 
-from samira_warp.subject.raycaster_sampling import draw_point
-from samira_warp.subject.shading import Surface, lobe_density, sample_lobe
+from samira_subject.raycaster_sampling import draw_point
+from samira_subject.shading import Surface, lobe_density, sample_lobe
 
 
 @wp.func

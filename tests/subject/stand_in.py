@@ -1,6 +1,7 @@
 """A head for tests of what surrounds it: the made-up sphere with eyes, in plain colours.
 
-``python tests/subject/stand_in.py FOLDER`` makes its dataset there, with as many pictures as ``--train N`` says.
+``python tests/subject/stand_in.py FOLDER`` makes its dataset there, with as many pictures as ``--train N``
+says.
 """
 
 import sys
@@ -15,12 +16,20 @@ if str(TESTS) not in sys.path:
 
 from subjects import small_template  # noqa: E402
 
-from samira_warp.cli import run  # noqa: E402
-from samira_warp.subject.make import SubjectPlan, make_subject  # noqa: E402
-from samira_warp.subject.raycaster import Effort  # noqa: E402
-from samira_warp.subject.studio import Cast  # noqa: E402
+from samira_subject.make import SubjectPlan, make_subject  # noqa: E402
+from samira_subject.raycaster import Effort  # noqa: E402
+from samira_subject.studio import Cast  # noqa: E402
+from samira_warp.support.cli import run  # noqa: E402
 
-PLAN = SubjectPlan(seed=3, train=3, test=2, relit=1, size=48, texels=32, effort=Effort(samples=2, lights=2, lobes=1, more=2, rounds=1))
+PLAN = SubjectPlan(
+    seed=3,
+    train=3,
+    test=2,
+    relit=1,
+    size=48,
+    texels=32,
+    effort=Effort(samples=2, lights=2, lobes=1, more=2, rounds=1),
+)
 NAMES = ("mouthSmile_L", "mouthSmile_R", "eyeBlink_L", "browInnerUp")
 
 
@@ -29,7 +38,9 @@ class PlainMaterials:
 
     def __init__(self, size):
         ramp = torch.linspace(0.0, 1.0, size)
-        self.albedo = torch.tensor([0.5, 0.3, 0.2]) * (0.6 + 0.4 * ramp[None, :, None]) * torch.ones(size, 1, 1)
+        self.albedo = (
+            torch.tensor([0.5, 0.3, 0.2]) * (0.6 + 0.4 * ramp[None, :, None]) * torch.ones(size, 1, 1)
+        )
         self.finish = torch.tensor([0.5, 0.03, 1.0]).expand(size, size, 3).contiguous()
         self._waves = 0.2 * torch.sin(40.0 * ramp)[:, None, None] * torch.ones(1, size, 3)
 
@@ -38,7 +49,9 @@ class PlainMaterials:
 
 
 def stand_in(size=32):
-    return Cast(replace(small_template(), expression_names=NAMES), torch.tensor([0.5, -0.5]), PlainMaterials(size))
+    return Cast(
+        replace(small_template(), expression_names=NAMES), torch.tensor([0.5, -0.5]), PlainMaterials(size)
+    )
 
 
 @dataclass(frozen=True)
@@ -55,7 +68,11 @@ def main(config: StandInConfig) -> None:
 
 def contents(folder):
     """Every file's bytes, by its path."""
-    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in sorted(Path(folder).rglob("*")) if path.is_file()}
+    return {
+        path.relative_to(folder).as_posix(): path.read_bytes()
+        for path in sorted(Path(folder).rglob("*"))
+        if path.is_file()
+    }
 
 
 if __name__ == "__main__":

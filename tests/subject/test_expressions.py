@@ -2,15 +2,26 @@
 
 import numpy as np
 import pytest
-from heads import FACE, MOUTH, anatomy, expression, faces_seen, lip_edges, model, parts_seen, pose, share_facing
+from heads import (
+    FACE,
+    MOUTH,
+    anatomy,
+    expression,
+    faces_seen,
+    lip_edges,
+    model,
+    parts_seen,
+    pose,
+    share_facing,
+)
 from matplotlib.path import Path
 from scipy.spatial.transform import Rotation
 
-from samira_warp.subject.anatomy.expressions import SIDED, WHOLE
-from samira_warp.subject.anatomy.eyes import EYE, EYE_RADIUS
-from samira_warp.subject.anatomy.mouth import HALF_WIDTH
-from samira_warp.subject.head import ORIGIN, build_head
-from samira_warp.subject.performance import JAW, perform
+from samira_subject.anatomy.expressions import SIDED, WHOLE
+from samira_subject.anatomy.eyes import EYE, EYE_RADIUS
+from samira_subject.anatomy.mouth import HALF_WIDTH
+from samira_subject.head import ORIGIN, build_head
+from samira_subject.performance import JAW, perform
 
 NAMES = sorted([*WHOLE, *(f"{name}_{side}" for name in SIDED for side in "LR")])
 SYMMETRIC = (
@@ -115,14 +126,19 @@ def test_the_jaw_carries_teeth_and_tongue_as_a_bone(jaw):
     opened = pose(jaw=jaw)
     # weights are shares to float32's rounding, of 0.2 m
     np.testing.assert_allclose(opened[carried], expected, atol=1e-3)
-    still = a.is_part("teeth_upper", "left_eyeball", "right_eyeball", "left_ear", "right_ear") | (a.points[:, 1] > 10)
+    still = a.is_part("teeth_upper", "left_eyeball", "right_eyeball", "left_ear", "right_ear") | (
+        a.points[:, 1] > 10
+    )
     np.testing.assert_allclose(opened[still], a.points[still], atol=1e-3)
 
 
 def test_tooth_by_tooth_they_close_without_cutting():
     """Upper incisors stand in front of the lower ones, which pass behind them."""
     a = anatomy()
-    edges = {name: a.is_part(name) & (a.tooth[:, 1] == 1.0) & (np.abs(a.points[:, 0]) < 10) for name in ("teeth_upper", "teeth_lower")}
+    edges = {
+        name: a.is_part(name) & (a.tooth[:, 1] == 1.0) & (np.abs(a.points[:, 0]) < 10)
+        for name in ("teeth_upper", "teeth_lower")
+    }
     upper, lower = (a.points[chosen] for chosen in edges.values())
     assert upper[:, 2].min() > lower[:, 2].max() - 0.5
     assert 0 < (lower[:, 1].max() - upper[:, 1].min()) < 3.5
@@ -132,10 +148,14 @@ def test_tooth_by_tooth_they_close_without_cutting():
 def test_teeth_show_between_the_lips_alone(frame):
     """Whatever gestures meet: nothing of the mouth's inside comes through cheeks, lips or chin."""
     played = perform(NAMES, train=160, test=40, seed=0)
-    vertices = pose(jaw=float(played.jaw[frame, 0]), **dict(zip(NAMES, played.expression[frame].tolist(), strict=True)))
+    vertices = pose(
+        jaw=float(played.jaw[frame, 0]), **dict(zip(NAMES, played.expression[frame].tolist(), strict=True))
+    )
     x, y = np.arange(-45.0, 45.0, 0.9), np.arange(-112.0, -30.0, 0.9)
     seen = faces_seen(vertices, x, y)
-    hidden = anatomy().is_part("teeth_upper", "teeth_lower", "tongue")[build_head().template.faces[:, 0]][seen] & (seen >= 0)
+    hidden = anatomy().is_part("teeth_upper", "teeth_lower", "tongue")[build_head().template.faces[:, 0]][
+        seen
+    ] & (seen >= 0)
     upper, lower = lip_edges()
     opening = Path(np.concatenate([vertices[upper, :2], vertices[lower, :2][::-1]]))
     places = np.stack(np.meshgrid(x, y, indexing="ij"), axis=-1)[hidden]
@@ -151,6 +171,8 @@ def test_eyes_turn_in_their_sockets():
     for name, side in (("left_eyeball", 1), ("right_eyeball", -1)):
         pole = np.flatnonzero(a.is_part(name))[0]
         reach = a.points[pole] - EYE * (side, 1, 1)
-        np.testing.assert_allclose(looking[pole] - a.points[pole], Rotation.from_rotvec([0, 0.4, 0]).apply(reach) - reach, atol=1e-2)
+        np.testing.assert_allclose(
+            looking[pole] - a.points[pole], Rotation.from_rotvec([0, 0.4, 0]).apply(reach) - reach, atol=1e-2
+        )
     still = ~a.is_part("left_eyeball", "right_eyeball")
     np.testing.assert_allclose(looking[still], a.points[still], atol=1e-3)

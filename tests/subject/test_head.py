@@ -10,12 +10,12 @@ from heads import anatomy, model, people, pose, share_facing
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from samira_subject.anatomy.assembly import PARTS
+from samira_subject.anatomy.eyes import EYE, EYE_RADIUS
+from samira_subject.anatomy.skinning import JOINTS
+from samira_subject.head import ORIGIN, build_head
 from samira_warp.head import HeadModel, read_template, save_template
 from samira_warp.head.regions import REGIONS, route_faces, route_vertices
-from samira_warp.subject.anatomy.assembly import PARTS
-from samira_warp.subject.anatomy.eyes import EYE, EYE_RADIUS
-from samira_warp.subject.anatomy.skinning import JOINTS
-from samira_warp.subject.head import ORIGIN, build_head
 
 FLAME_MASKS = {
     "face", "neck", "scalp", "boundary", "left_eyeball", "right_eyeball", "left_ear", "right_ear", "forehead", "eye_region", "nose", "lips",
@@ -96,7 +96,8 @@ def test_it_is_a_manifold(template):
     faces = template.faces
     assert len(np.unique(directed_edges(faces), axis=0)) == 3 * len(faces)
     assert np.array_equal(np.unique(faces), np.arange(len(template.v_template)))
-    # corners at one vertex that share an edge hang together: as many heaps as vertices says that each has one fan of faces
+    # corners at one vertex that share an edge hang together: as many heaps as vertices says that each has one
+    # fan of faces
     owner = {tuple(edge): number for number, edge in enumerate(directed_edges(faces).tolist())}
     corner = np.arange(3 * len(faces)).reshape(3, -1).T  # the corner at which each directed edge begins
     links = []
@@ -106,14 +107,18 @@ def test_it_is_a_manifold(template):
             row, face = divmod(across, len(faces))
             links.append((number, corner[face, (row + 1) % 3]))
     first, second = np.array(links).T
-    count, _ = connected_components(coo_array((np.ones(len(first)), (first, second)), shape=(3 * len(faces),) * 2), directed=False)
+    count, _ = connected_components(
+        coo_array((np.ones(len(first)), (first, second)), shape=(3 * len(faces),) * 2), directed=False
+    )
     assert count == len(template.v_template)
 
 
 def test_parts_hang_together_and_are_open_where_it_does_not_show(template):
     edges = directed_edges(template.faces)
     size = len(template.v_template)
-    count, heap = connected_components(coo_array((np.ones(len(edges)), edges.T), shape=(size, size)), directed=False)
+    count, heap = connected_components(
+        coo_array((np.ones(len(edges)), edges.T), shape=(size, size)), directed=False
+    )
     names = [{part_of(vertex) for vertex in np.flatnonzero(heap == number)} for number in range(count)]
     assert sorted(map(sorted, names)) == sorted([name] for name in RIMS)
     loops = rims(template.faces)
@@ -141,7 +146,8 @@ def capped_volumes(vertices, faces):
 def test_faces_look_outwards(template):
     volumes = capped_volumes(anatomy().points, template.faces)
     assert min(volumes.values()) > 0
-    # a ball of EYE_RADIUS less its cap behind 120 degrees (0.16 of it); chords lose some hundredths, the cornea adds as much
+    # a ball of EYE_RADIUS less its cap behind 120 degrees (0.16 of it); chords lose some hundredths, the
+    # cornea adds as much
     ball = 4.0 / 3.0 * np.pi * EYE_RADIUS**3
     assert 0.76 * ball < volumes["left_eyeball"] < 0.88 * ball
     assert volumes["left_eyeball"] == pytest.approx(volumes["right_eyeball"])
@@ -151,7 +157,9 @@ def test_faces_look_outwards(template):
 
 @pytest.mark.parametrize("bearing", [0, 45, 90, 135, 180, -45, -90, -135])
 def test_what_is_seen_from_around_faces_the_viewer(bearing):
-    share, count = share_facing(anatomy().points, np.arange(-110.0, 110.0, 2.3), np.arange(-165.0, 120.0, 2.7), bearing=bearing)
+    share, count = share_facing(
+        anatomy().points, np.arange(-110.0, 110.0, 2.3), np.arange(-165.0, 120.0, 2.7), bearing=bearing
+    )
     assert count > 4000
     # between the ear's root and the head one may look behind a rim
     assert share > 0.998
@@ -162,9 +170,13 @@ def test_both_sides_mirror_each_other(template):
     assert np.array_equal(a.mirror[a.mirror], np.arange(len(a.points)))
     # teeth are strung on a spline whose nodes are symmetric to rounding
     np.testing.assert_allclose(a.points[a.mirror], a.points * flip, atol=1e-9)
-    np.testing.assert_allclose(template.shapedirs[a.mirror, :, :20], template.shapedirs[:, :, :20] * flip[:, None], atol=1e-9)
+    np.testing.assert_allclose(
+        template.shapedirs[a.mirror, :, :20], template.shapedirs[:, :, :20] * flip[:, None], atol=1e-9
+    )
     np.testing.assert_allclose(template.weights[a.mirror][:, [0, 1, 2, 4, 3]], template.weights, atol=1e-7)
-    np.testing.assert_allclose(template.joint_regressor[[0, 1, 2, 4, 3]][:, a.mirror], template.joint_regressor, atol=1e-6)
+    np.testing.assert_allclose(
+        template.joint_regressor[[0, 1, 2, 4, 3]][:, a.mirror], template.joint_regressor, atol=1e-6
+    )
     paired = {name.replace("left", "right"): name for name in PARTS if name.startswith("left")}
     mirrored = [PARTS.index(paired.get(name, name.replace("left", "right"))) for name in PARTS]
     assert np.array_equal(a.part[a.mirror], np.array(mirrored)[a.part])
@@ -229,6 +241,8 @@ def test_an_eyeball_is_round_behind_its_cornea():
 
 
 def test_it_is_the_same_in_a_fresh_process(template):
-    script = "from samira_warp.subject.head import build_head; print(build_head().template.hash, build_head(1).identity.tobytes().hex())"
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=300, check=True)
+    script = "from samira_subject.head import build_head; print(build_head().template.hash, build_head(1).identity.tobytes().hex())"
+    done = subprocess.run(
+        [sys.executable, "-c", script], capture_output=True, text=True, timeout=300, check=True
+    )
     assert done.stdout.split() == [template.hash, build_head(1).identity.tobytes().hex()]

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from heads import FACE, MOUTH, anatomy, lip_edges, normals, parts_seen, people, pose, share_facing
 
-from samira_warp.subject.anatomy.eyes import EYE, EYE_RADIUS
-from samira_warp.subject.anatomy.identity import IDENTITIES
-from samira_warp.subject.head import build_head
+from samira_subject.anatomy.eyes import EYE, EYE_RADIUS
+from samira_subject.anatomy.identity import IDENTITIES
+from samira_subject.head import build_head
 
 PEOPLE = 6
 

@@ -13,9 +13,13 @@ from samira_warp.light.equirect import equirect_directions
 
 
 def lobes(tilt, roughness, *, height=256, count=1 << 16):
-    """Directions and solid angles of a panorama, the density there, and drawn directions, of a surface whose bump tilts by degrees."""
+    """Directions and solid angles of a panorama, the density there, and drawn directions, of a surface whose
+    bump tilts by degrees."""
     tilted, viewed = math.radians(tilt), math.radians(30.0)
-    normal, view = wp.vec3(math.sin(tilted), 0.0, math.cos(tilted)), wp.vec3(-math.sin(viewed), 0.0, math.cos(viewed))
+    normal, view = (
+        wp.vec3(math.sin(tilted), 0.0, math.cos(tilted)),
+        wp.vec3(-math.sin(viewed), 0.0, math.cos(viewed)),
+    )
     lights = equirect_directions(height).flatten(0, 1).contiguous()
     edges = torch.cos(torch.linspace(0.0, math.pi, height + 1, dtype=torch.float64))
     angles = ((edges[:-1] - edges[1:]) * math.pi / height).repeat_interleave(2 * height)
@@ -29,7 +33,8 @@ def lobes(tilt, roughness, *, height=256, count=1 << 16):
 @pytest.mark.parametrize("roughness", [0.3, 0.46, 0.72])
 def test_drawn_directions_have_the_density_that_is_said(tilt, roughness):
     lights, angles, density, drawn = lobes(tilt, roughness)
-    # the lobe at roughness 0.3 is some 10 degrees wide, texels are 0.7: the midpoint rule is off by less than their square
+    # the lobe at roughness 0.3 is some 10 degrees wide, texels are 0.7: the midpoint rule is off by less than
+    # their square
     assert float((density * angles).sum()) == pytest.approx(1.0, abs=4e-3)
     for axis in range(3):
         expected = float((density * angles * lights[:, axis]).sum())

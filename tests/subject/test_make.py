@@ -15,16 +15,16 @@ import torch
 from stand_in import NAMES, PLAN, contents, stand_in
 from subjects import TESTS
 
-from samira_warp.cli import run
+from samira_subject.make import make_subject
+from samira_subject.performance import perform
+from samira_subject.sky import CAPTURE, SKIES
+from samira_subject.studio import threads
 from samira_warp.data import open_sequence
-from samira_warp.files import read_json
 from samira_warp.head import HeadModel
-from samira_warp.images import image_size, read_image
+from samira_warp.io.files import read_json
+from samira_warp.io.images import image_size, read_image
 from samira_warp.light import Environment
-from samira_warp.subject.make import make_subject
-from samira_warp.subject.performance import perform
-from samira_warp.subject.sky import CAPTURE, SKIES
-from samira_warp.subject.studio import threads
+from samira_warp.support.cli import run
 
 SCRIPT = TESTS / "subject" / "stand_in.py"
 
@@ -41,7 +41,10 @@ def dataset(tmp_path_factory):
 def command(folder, *options, threads=1):
     environment = {**os.environ, "OMP_NUM_THREADS": str(threads)}
     return subprocess.Popen(
-        [sys.executable, str(SCRIPT), "--out", str(folder), *options], env=environment, stderr=subprocess.PIPE, text=True
+        [sys.executable, str(SCRIPT), "--out", str(folder), *options],
+        env=environment,
+        stderr=subprocess.PIPE,
+        text=True,
     )
 
 
@@ -63,9 +66,13 @@ def test_everything_that_the_layout_names_is_there(dataset):
     for name in SKIES:
         described = dataset / "gt" / ("capture_light.json" if name == CAPTURE else f"relight/{name}.json")
         light = read_json(described)
-        assert Environment.load(dataset / light["file"], rotate=light["azimuth_degrees"], exposure=light["exposure"], size=32)
+        assert Environment.load(
+            dataset / light["file"], rotate=light["azimuth_degrees"], exposure=light["exposure"], size=32
+        )
         if name != CAPTURE:
-            assert [path.name for path in (dataset / "gt" / "relight" / name).iterdir()] == tests[: PLAN.relit]
+            assert [path.name for path in (dataset / "gt" / "relight" / name).iterdir()] == tests[
+                : PLAN.relit
+            ]
     facts = read_json(dataset / "dataset.json")
     assert (facts["frames"], facts["seed"]) == (PLAN.train + PLAN.test, PLAN.seed)
     assert json.loads((dataset / "transforms_val.json").read_text())["frames"] == []
@@ -93,10 +100,14 @@ def test_the_tracked_mesh_lies_on_the_masks(dataset):
     for frame in sequence.frames:
         camera, vertices = frame.camera, model.vertices(frame.parameters, sequence.shape).vertices
         seen = vertices @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
-        x, y = camera.fx * seen[:, 0] / seen[:, 2] + camera.cx, camera.fy * seen[:, 1] / seen[:, 2] + camera.cy
+        x, y = (
+            camera.fx * seen[:, 0] / seen[:, 2] + camera.cx,
+            camera.fy * seen[:, 1] / seen[:, 2] + camera.cy,
+        )
         mask = read_image(frame.mask_path, channels=1)[..., 0] > 0
         columns, rows = np.nonzero(mask.any(axis=0))[0], np.nonzero(mask.any(axis=1))[0]
-        # subdivision draws the coarse sphere's outline in by a sixth of an edge's sagitta: less than a pixel here
+        # subdivision draws the coarse sphere's outline in by a sixth of an edge's sagitta: less than a pixel
+        # here
         for found, expected in (
             (columns[0], x.min()),
             (columns[-1] + 1, x.max()),
@@ -146,7 +157,9 @@ def test_an_interrupt_leaves_nothing(tmp_path):
         (["--preview", "a.png", "--frame", "200"], "--frame"),
     ],
 )
-def test_the_tool_says_in_one_line_what_is_wrong_before_it_makes_anything(options, complaint, tmp_path, monkeypatch, capsys):
+def test_the_tool_says_in_one_line_what_is_wrong_before_it_makes_anything(
+    options, complaint, tmp_path, monkeypatch, capsys
+):
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(TESTS.parent / "tools")
     tool = importlib.import_module("make_subject")

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from samira_warp.subject.gestures import LOWER, SPEECH, UPPER, Gesture, shapes_of
-from samira_warp.subject.head import build_head
-from samira_warp.subject.performance import EASE, GAZE, JAW, PITCH, YAW, perform
+from samira_subject.gestures import LOWER, SPEECH, UPPER, Gesture, shapes_of
+from samira_subject.head import build_head
+from samira_subject.performance import EASE, GAZE, JAW, PITCH, YAW, perform
 
 NAMES = build_head().template.expression_names
 TRACKS = ("translation", "rotation", "neck", "jaw", "eyes", "expression")
@@ -81,7 +81,9 @@ def test_any_names_and_any_number_of_frames_will_do(names, train, test):
 
 
 def test_a_gesture_without_a_side_moves_both():
-    assert shapes_of(Gesture({"smile": 0.5, "wink_L": 1.0, "absent": 1.0}), ("smile_R", "smile_L", "wink_L", "wink_R")) == {
+    assert shapes_of(
+        Gesture({"smile": 0.5, "wink_L": 1.0, "absent": 1.0}), ("smile_R", "smile_L", "wink_L", "wink_R")
+    ) == {
         0: 0.5,
         1: 0.5,
         2: 1.0,

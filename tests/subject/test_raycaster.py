@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 import torch
 
-from samira_warp.camera import Camera
+from samira_subject.raycaster import Effort, PosedSkin, Skin
+from samira_subject.raycaster_sampling import SkyTables
+from samira_subject.sky import CAPTURE, SKIES, paint_sky
+from samira_warp.geometry.camera import Camera
 from samira_warp.light.equirect import equirect_directions
-from samira_warp.subject.raycaster import Effort, PosedSkin, Skin
-from samira_warp.subject.raycaster_sampling import SkyTables
-from samira_warp.subject.sky import CAPTURE, SKIES, paint_sky
 
 EVEN = Effort(samples=8, lights=4, lobes=3, rounds=0)
 
@@ -21,7 +21,8 @@ def uniform_sky(radiance=1.0):
 
 
 def skin(vertices, faces, *, albedo=0.5, roughness=0.5, specular=0.0, texel_columns=None):
-    """A surface of one stuff, or, with one albedo a column of texels, of each triangle's own: its corners lie in that column."""
+    """A surface of one stuff, or, with one albedo a column of texels, of each triangle's own: its corners lie
+    in that column."""
     columns = torch.tensor(texel_columns or [albedo])
     count = len(columns)
     size = 4 * count
@@ -50,11 +51,19 @@ def square(**stuff):
 
 def sphere(rings=24, **stuff):
     """A sphere of radius 0.1 about the origin."""
-    polar, around = np.meshgrid(np.linspace(0.0, np.pi, rings + 1), np.arange(2 * rings) * np.pi / rings, indexing="ij")
-    points = 0.1 * np.stack([np.sin(polar) * np.sin(around), np.cos(polar), np.sin(polar) * np.cos(around)], axis=-1).reshape(-1, 3)
-    ring, column = (grid.ravel() for grid in np.meshgrid(np.arange(rings), np.arange(2 * rings), indexing="ij"))
+    polar, around = np.meshgrid(
+        np.linspace(0.0, np.pi, rings + 1), np.arange(2 * rings) * np.pi / rings, indexing="ij"
+    )
+    points = 0.1 * np.stack(
+        [np.sin(polar) * np.sin(around), np.cos(polar), np.sin(polar) * np.cos(around)], axis=-1
+    ).reshape(-1, 3)
+    ring, column = (
+        grid.ravel() for grid in np.meshgrid(np.arange(rings), np.arange(2 * rings), indexing="ij")
+    )
     a, b = ring * 2 * rings + column, ring * 2 * rings + (column + 1) % (2 * rings)
-    faces = np.concatenate([np.stack([a, a + 2 * rings, b + 2 * rings], 1), np.stack([a, b + 2 * rings, b], 1)])
+    faces = np.concatenate(
+        [np.stack([a, a + 2 * rings, b + 2 * rings], 1), np.stack([a, b + 2 * rings, b], 1)]
+    )
     points = np.round(points, 9)
     _, first, same = np.unique(points, axis=0, return_index=True, return_inverse=True)
     faces = same.reshape(-1)[faces]
@@ -79,18 +88,24 @@ def test_a_diffuse_sphere_under_an_even_sky_shows_its_albedo():
     assert not picture.radiance[picture.coverage == 0].any()
 
 
-@pytest.mark.parametrize(("roughness", "least", "most"), [(0.2, 0.988, 0.999), (0.5, 0.838, 0.917), (0.8, 0.554, 0.693)])
+@pytest.mark.parametrize(
+    ("roughness", "least", "most"), [(0.2, 0.988, 0.999), (0.5, 0.838, 0.917), (0.8, 0.554, 0.693)]
+)
 def test_a_mirror_sphere_reflects_no_more_than_it_receives(roughness, least, most):
-    """The bounds are what GGX reflects at cosines of 0.3 to 1, of a single scattering, by the trapezoid rule."""
+    """The bounds are what GGX reflects at cosines of 0.3 to 1, of a single scattering, by the trapezoid
+    rule."""
     sphere_of_metal = sphere(albedo=0.0, specular=1.0, roughness=roughness)
-    picture = sphere_of_metal.render(camera(field=0.15), uniform_sky(), effort=replace(EVEN, samples=64), seed=1)
+    picture = sphere_of_metal.render(
+        camera(field=0.15), uniform_sky(), effort=replace(EVEN, samples=64), seed=1
+    )
     inside = picture.coverage == 1
     mean, error = picture.radiance[inside].mean(), picture.error[inside].square().sum().sqrt() / inside.sum()
     assert least - 4 * error < mean < most + 4 * error
 
 
 def brute_force(radiance, *, albedo, roughness, specular, finer=8):
-    """(3,) float64 radiance towards +z of a surface that faces +z: the sum over a sky whose texels are each cut into many."""
+    """(3,) float64 radiance towards +z of a surface that faces +z: the sum over a sky whose texels are each
+    cut into many."""
     fine = radiance.double().repeat_interleave(finer, dim=0).repeat_interleave(finer, dim=1)
     height, width = fine.shape[:2]
     light = equirect_directions(height).double()
@@ -123,15 +138,19 @@ def test_every_way_of_drawing_gives_the_sum_over_the_sky(name, drawn):
 
 @pytest.mark.parametrize("wall_albedo", [0.0, 0.8])
 def test_a_wall_takes_half_the_sky_and_sends_a_share_back(wall_albedo):
-    """A floor that faces +z and a wall at x = 0 that faces +x, both far larger than the patch at their seam that is seen."""
+    """A floor that faces +z and a wall at x = 0 that faces +x, both far larger than the patch at their seam
+    that is seen."""
     corners = [[0, -5, 0], [5, -5, 0], [5, 5, 0], [0, 5, 0], [0, -5, 5], [0, 5, 5]]
     faces = [[0, 1, 2], [0, 2, 3], [0, 3, 5], [0, 5, 4]]
     # vertices are shared, but their normals must not be: each plane gets its own
     vertices = [corners[index] for face in faces for index in face]
     surface = posed(skin(vertices, np.arange(12).reshape(4, 3).tolist(), texel_columns=[0.5, wall_albedo]))
     effort = Effort(samples=64, lights=4, lobes=4, rounds=0)
-    picture = surface.render(camera(field=0.002, center=(0.01, 0.0, 1.0)), uniform_sky(), effort=effort, seed=3)
-    # the wall sees half the sky and half the floor, which sees half the sky; light that goes on from there is not followed
+    picture = surface.render(
+        camera(field=0.002, center=(0.01, 0.0, 1.0)), uniform_sky(), effort=effort, seed=3
+    )
+    # the wall sees half the sky and half the floor, which sees half the sky; light that goes on from there is
+    # not followed
     wall = wall_albedo * (0.5 + 0.5 * 0.5 * 0.5)
     expected = 0.5 * (0.5 + 0.5 * wall)
     spread = float(picture.radiance[..., 0].std()) / 16
@@ -155,7 +174,10 @@ def test_the_same_bits_for_any_number_of_threads(use_threads):
 def test_the_error_is_that_of_pictures_with_other_seeds():
     surface = sphere(albedo=0.5, specular=0.04, roughness=0.4)
     sky = SkyTables.build(paint_sky(SKIES[CAPTURE], height=32))
-    first, second = (surface.render(camera(32, field=0.15), sky, effort=replace(EVEN, samples=16), seed=seed) for seed in (1, 2))
+    first, second = (
+        surface.render(camera(32, field=0.15), sky, effort=replace(EVEN, samples=16), seed=seed)
+        for seed in (1, 2)
+    )
     weights = torch.tensor([0.2126, 0.7152, 0.0722])
     apart = ((first.radiance - second.radiance) @ weights).square().mean().sqrt()
     promised = (first.error.square() + second.error.square()).mean().sqrt()
@@ -166,7 +188,9 @@ def test_the_error_is_that_of_pictures_with_other_seeds():
 def test_more_rays_go_where_the_error_is_large():
     surface = sphere(albedo=0.5, specular=0.3, roughness=0.3)
     sky = SkyTables.build(paint_sky(SKIES["stage"], height=32))
-    few, many = (surface.render(camera(32, field=0.15), sky, effort=Effort(rounds=rounds), seed=4) for rounds in (0, 4))
+    few, many = (
+        surface.render(camera(32, field=0.15), sky, effort=Effort(rounds=rounds), seed=4) for rounds in (0, 4)
+    )
     assert many.error.max() < 0.7 * few.error.max()
     # the rest is left as it was, bit by bit
     left = (few.coverage == 1) & (few.radiance == many.radiance).all(dim=2)
@@ -175,7 +199,9 @@ def test_more_rays_go_where_the_error_is_large():
 
 
 def test_bumps_turn_the_normal_against_their_slope():
-    surface = skin([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]], [[0, 1, 2], [0, 2, 3]])
+    surface = skin(
+        [[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]], [[0, 1, 2], [0, 2, 3]]
+    )
     slopes = torch.tensor([0.3, 0.0, 0.0]).expand(4, 4, 3)
     picture = posed(surface, slopes.contiguous()).render(camera(8), uniform_sky(), effort=EVEN, seed=0)
     # the normal of z = 0.3 x
@@ -184,7 +210,9 @@ def test_bumps_turn_the_normal_against_their_slope():
 
 
 def test_half_a_pixel_is_half_covered():
-    surface = skin([[0.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]], [[0, 1, 2], [0, 2, 3]])
+    surface = skin(
+        [[0.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]], [[0, 1, 2], [0, 2, 3]]
+    )
     picture = posed(surface).render(camera(5), uniform_sky(), effort=replace(EVEN, samples=16), seed=2)
     assert not picture.coverage[:, :2].any()
     assert (picture.coverage[:, 3:] == 1).all()

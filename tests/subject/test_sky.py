@@ -5,11 +5,11 @@ import math
 import pytest
 import torch
 
-from samira_warp.images import write_exr
+from samira_subject.raycaster_sampling import IRRADIANCE_ROWS, SkyTables
+from samira_subject.sky import CAPTURE, SKIES, Sky, Softbox, exposure_of, paint_sky
+from samira_warp.io.images import write_exr
 from samira_warp.light import Environment
 from samira_warp.light.equirect import equirect_directions, turn_directions
-from samira_warp.subject.raycaster_sampling import IRRADIANCE_ROWS, SkyTables
-from samira_warp.subject.sky import CAPTURE, SKIES, Sky, Softbox, exposure_of, paint_sky
 
 
 def plain(*softboxes, grey=0.1):
@@ -38,7 +38,9 @@ def test_a_softbox_stands_where_it_says(azimuth, column):
 
 
 def test_a_softbox_has_feathered_edges_and_its_size():
-    radiance = paint_sky(plain(Softbox(0.0, 0.0, 40.0, 20.0, (1.0, 1.0, 1.0), feather=0.5), grey=0.0), height=128)[..., 0]
+    radiance = paint_sky(
+        plain(Softbox(0.0, 0.0, 40.0, 20.0, (1.0, 1.0, 1.0), feather=0.5), grey=0.0), height=128
+    )[..., 0]
     directions = equirect_directions(128)
     elevation = torch.rad2deg(torch.asin(directions[..., 1]))
     lit = radiance > 0.0
@@ -62,7 +64,10 @@ def test_lights_are_bright_but_no_suns(name):
 
 def test_lights_differ():
     """Each pair of lights shades a head by so different patterns that no gain makes one into the other."""
-    seen = {name: SkyTables.build(paint_sky(sky, height=32)).irradiance[1:-1, 1:-1].flatten() for name, sky in SKIES.items()}
+    seen = {
+        name: SkyTables.build(paint_sky(sky, height=32)).irradiance[1:-1, 1:-1].flatten()
+        for name, sky in SKIES.items()
+    }
     names = list(seen)
     for index, one in enumerate(names):
         for other in names[index + 1 :]:
@@ -74,8 +79,12 @@ def test_the_key_comes_from_the_subjects_left_as_the_package_reads_the_file(tmp_
     write_exr(tmp_path / "sky.exr", radiance.numpy())
     light = Environment.load(tmp_path / "sky.exr", size=32)
     key = SKIES[CAPTURE].softboxes[0]
-    towards = turn_directions(torch.tensor([[math.sin(math.radians(key.azimuth)), 0.0, math.cos(math.radians(key.azimuth))]]), 0.0)
-    towards = towards * math.cos(math.radians(key.elevation)) + torch.tensor([0.0, math.sin(math.radians(key.elevation)), 0.0])
+    towards = turn_directions(
+        torch.tensor([[math.sin(math.radians(key.azimuth)), 0.0, math.cos(math.radians(key.azimuth))]]), 0.0
+    )
+    towards = towards * math.cos(math.radians(key.elevation)) + torch.tensor(
+        [0.0, math.sin(math.radians(key.elevation)), 0.0]
+    )
     # the lamp and what of the sky is behind it
     assert float(light.visible.look(towards)[0, 0]) == pytest.approx(key.radiance[0], rel=0.1)
 

@@ -5,14 +5,16 @@ import subprocess
 import sys
 from itertools import product
 
-from samira_warp.subject.streams import Purpose, generator_of, number_of
+from samira_subject.streams import Purpose, generator_of, number_of
 
 
 def test_streams_of_seeds_purposes_and_numbers_differ():
     keys = [(), (0,), (1,), (0, 0), (0, 1), (1, 0)]
     found = {}
     for seed, purpose, numbers in product((0, 1, 2, 5, 2**31 - 1), Purpose, keys):
-        found[seed, purpose, numbers] = tuple(generator_of(seed, purpose, *numbers).integers(0, 2**62, 4).tolist())
+        found[seed, purpose, numbers] = tuple(
+            generator_of(seed, purpose, *numbers).integers(0, 2**62, 4).tolist()
+        )
     assert len(set(found.values())) == len(found)
 
 
@@ -26,7 +28,7 @@ def test_a_number_is_a_stream_s_own_and_fits_a_kernel():
 CAST = """
 import hashlib, sys
 import samira_warp
-from samira_warp.subject.cast import build_cast
+from samira_subject.cast import build_cast
 cast = build_cast(int(sys.argv[1]), texels=96)
 maps = (cast.materials.albedo, cast.materials.finish, cast.materials.resting)
 print(cast.template.hash, hashlib.sha256(b"".join(value.numpy().tobytes() for value in (*maps, cast.identity))).hexdigest())
@@ -35,8 +37,12 @@ print(cast.template.hash, hashlib.sha256(b"".join(value.numpy().tobytes() for va
 
 def test_a_head_and_its_paint_are_the_same_for_any_number_of_threads():
     def made(threads):
-        settings = {name: str(threads) for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")}
+        settings = {
+            name: str(threads) for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+        }
         command = [sys.executable, "-c", CAST, "3"]
-        return subprocess.run(command, env=os.environ | settings, capture_output=True, text=True, check=True, timeout=300).stdout
+        return subprocess.run(
+            command, env=os.environ | settings, capture_output=True, text=True, check=True, timeout=300
+        ).stdout
 
     assert made(1) == made(2)

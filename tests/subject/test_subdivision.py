@@ -5,12 +5,14 @@ import pytest
 import torch
 from subjects import parameters, small_template
 
+from samira_subject.eyelids import CLEARANCE, EYEBALLS, Eyelids
+from samira_subject.subdivision import LoopSubdivision, split_corners
+from samira_warp.geometry.mesh import face_areas
 from samira_warp.head import HeadModel
-from samira_warp.head.geometry import face_areas
-from samira_warp.subject.eyelids import CLEARANCE, EYEBALLS, Eyelids
-from samira_warp.subject.subdivision import LoopSubdivision, split_corners
 
-OCTAHEDRON = np.array([[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]])
+OCTAHEDRON = np.array(
+    [[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]]
+)
 CORNERS = torch.tensor([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]])
 
 
@@ -18,7 +20,12 @@ def grid(size=5):
     """A flat square of triangles, each inner vertex with six neighbours."""
     x, y = np.meshgrid(np.arange(size), np.arange(size))
     corner = (y * size + x)[:-1, :-1].ravel()
-    faces = np.concatenate([np.stack([corner, corner + 1, corner + size + 1], 1), np.stack([corner, corner + size + 1, corner + size], 1)])
+    faces = np.concatenate(
+        [
+            np.stack([corner, corner + 1, corner + size + 1], 1),
+            np.stack([corner, corner + size + 1, corner + size], 1),
+        ]
+    )
     return torch.tensor(np.stack([x.ravel(), y.ravel(), 0 * x.ravel()], axis=1), dtype=torch.float32), faces
 
 
@@ -84,12 +91,16 @@ def test_corners_split_as_the_faces_do():
     vertices, faces = grid()
     flat = vertices[torch.from_numpy(faces)][..., :2]
     split = split_corners(flat)
-    areas = face_areas(torch.nn.functional.pad(split.reshape(-1, 2), (0, 1)), torch.arange(3 * len(split)).view(-1, 3))
+    areas = face_areas(
+        torch.nn.functional.pad(split.reshape(-1, 2), (0, 1)), torch.arange(3 * len(split)).view(-1, 3)
+    )
     assert areas == pytest.approx(0.125)
     # where subdivision moves nothing, corners and vertices are at one place
     subdivision = LoopSubdivision.build(faces, vertices=len(vertices))
     middle = (split.mean(dim=1) - 2.0).abs().amax(dim=1) < 1.0
-    assert torch.allclose(subdivision.refine(vertices)[subdivision.faces.long()][middle][..., :2], split[middle], atol=1e-6)
+    assert torch.allclose(
+        subdivision.refine(vertices)[subdivision.faces.long()][middle][..., :2], split[middle], atol=1e-6
+    )
 
 
 @pytest.fixture(scope="module")
@@ -108,7 +119,9 @@ def test_lids_are_moved_out_of_the_eyeball_and_nothing_else_moves(eyes):
     for eye in lids:
         assert len(eye.skin) >= 3
         assert eye.joint in (3, 4)
-        centre = posed.joint_transforms[eye.joint, :3, :3] @ eye.center + posed.joint_transforms[eye.joint, :3, 3]
+        centre = (
+            posed.joint_transforms[eye.joint, :3, :3] @ eye.center + posed.joint_transforms[eye.joint, :3, 3]
+        )
         outward = torch.nn.functional.normalize(posed.vertices[eye.skin] - centre, dim=1)
         vertices = posed.vertices.clone()
         # one within the eyeball, the rest far off it

@@ -1,4 +1,5 @@
-"""Where the built-in subject is kept: made once, by one process, and never in the place of what is somebody's own."""
+"""Where the built-in subject is kept: made once, by one process, and never in the place of what is somebody's
+own."""
 
 import io
 import json
@@ -13,9 +14,9 @@ import pytest
 from filelock import FileLock
 from subjects import train_command
 
+from samira_subject import cache
+from samira_subject.make import VERSION
 from samira_warp import UserError
-from samira_warp.subject import cache
-from samira_warp.subject.make import VERSION
 
 HOLDER = """
 import sys
@@ -127,7 +128,9 @@ def refused(capsys):
     return line
 
 
-@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="every folder can be written by this user")
+@pytest.mark.skipif(
+    not hasattr(os, "geteuid") or os.geteuid() == 0, reason="every folder can be written by this user"
+)
 def test_a_cache_that_cannot_be_written_is_said_with_the_remedy(tmp_path, made, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "cache").mkdir(mode=0o500)

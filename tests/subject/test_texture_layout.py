@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from heads import anatomy
 
-from samira_warp.subject.anatomy.assembly import PARTS
-from samira_warp.subject.head import build_head
+from samira_subject.anatomy.assembly import PARTS
+from samira_subject.head import build_head
 
 SIZE = 1024
 
@@ -27,7 +27,10 @@ def cover():
     """(SIZE, SIZE) how many faces hold the centre of each texel, edges left out."""
     count = np.zeros((SIZE, SIZE), np.int32)
     for (a, b, c), twice in zip(SIZE * corners() - 0.5, SIZE**2 * areas(), strict=True):
-        low, high = np.ceil(np.minimum(np.minimum(a, b), c)).astype(int), np.floor(np.maximum(np.maximum(a, b), c)).astype(int) + 1
+        low, high = (
+            np.ceil(np.minimum(np.minimum(a, b), c)).astype(int),
+            np.floor(np.maximum(np.maximum(a, b), c)).astype(int) + 1,
+        )
         x, y = np.arange(low[0], high[0]), np.arange(low[1], high[1])[:, None]
         s = ((x - a[0]) * (c - a)[1] - (y - a[1]) * (c - a)[0]) / twice
         t = ((b - a)[0] * (y - a[1]) - (b - a)[1] * (x - a[0])) / twice
@@ -65,7 +68,8 @@ def test_every_part_gets_texels_by_its_size():
 
 @pytest.mark.parametrize("name", ["skin", "mouth", "left_eyeball", "left_ear"])
 def test_the_other_side_is_mirrored(name):
-    """Faces whose mirror images are faces: theirs lie mirrored, so that what is painted on one side can be copied to the other."""
+    """Faces whose mirror images are faces: theirs lie mirrored, so that what is painted on one side can be
+    copied to the other."""
     a, faces = anatomy(), build_head().template.faces
     by_vertices = {tuple(sorted(face)): number for number, face in enumerate(faces.tolist())}
     mine = np.flatnonzero(a.is_part(name)[faces].all(axis=1))

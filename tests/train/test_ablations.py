@@ -45,7 +45,9 @@ def test_ablations_of_the_model(tiny_dataset, tmp_path, name):
 def test_ablations_of_the_loss_alone(tiny_dataset, tmp_path):
     _, full, _ = run(tiny_dataset, tmp_path / "full")
     assert all(full[name] > 0 for name in ("normal_prior", "albedo", "mask"))
-    settings, ablated, _ = run(tiny_dataset, tmp_path / "run", "--ablate", "no-normal-prior", "no-albedo", "no-mask")
+    settings, ablated, _ = run(
+        tiny_dataset, tmp_path / "run", "--ablate", "no-normal-prior", "no-albedo", "no-mask"
+    )
     assert not any(holds(settings) for holds in SETTINGS.values())
     assert ablated["mask"] == 0
     assert ablated["normal_prior"] == 0
@@ -64,8 +66,23 @@ def test_without_two_stages_normals_and_responses_learn_from_the_first_step(tiny
 
 
 def test_variants_of_the_literal_paper(tiny_dataset, tmp_path):
-    options = ["--reference", "screen", "--displacement", "world", "--residual-frame", "head", "--normals", "face", "--color-space", "raw"]
+    options = [
+        "--reference",
+        "screen",
+        "--displacement",
+        "world",
+        "--residual-frame",
+        "head",
+        "--normals",
+        "face",
+        "--color-space",
+        "raw",
+    ]
     settings, metrics, tensors = run(tiny_dataset, tmp_path / "run", *options)
-    assert (settings["displacement_frame"], settings["residual_frame"], settings["color_space"]) == ("world", "head", "raw")
+    assert (settings["displacement_frame"], settings["residual_frame"], settings["color_space"]) == (
+        "world",
+        "head",
+        "raw",
+    )
     assert (tensors["gaussians.initial_normals"] == torch.tensor([0.0, 1.0, 0.0])).all()
     assert metrics["psnr"] > 5

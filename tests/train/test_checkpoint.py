@@ -41,12 +41,16 @@ def test_everything_that_changes_comes_back(state, tmp_path):
     assert torch.equal(density.gradient, state.density.gradient)
     assert torch.equal(density.views, state.density.views)
     for before, after in ((state.avatar, avatar), (state.tracked, tracked)):
-        assert all(torch.equal(value, after.state_dict()[name]) for name, value in before.state_dict().items())
+        assert all(
+            torch.equal(value, after.state_dict()[name]) for name, value in before.state_dict().items()
+        )
     for before, after in zip(state.optimizer.param_groups, optimizer.param_groups, strict=True):
         for old, new in zip(before["params"], after["params"], strict=True):
             moments = state.optimizer.state.get(old, {})
             assert set(moments) == set(optimizer.state.get(new, {})), before["name"]
-            assert all(torch.equal(value, optimizer.state[new][key]) for key, value in moments.items()), before["name"]
+            assert all(torch.equal(value, optimizer.state[new][key]) for key, value in moments.items()), (
+                before["name"]
+            )
             assert bool(moments) is (before["name"] != "normals")
 
 

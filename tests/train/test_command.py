@@ -16,7 +16,7 @@ from safetensors.torch import load_file
 from subjects import STEPS, train_arguments, train_command
 
 from samira_warp.avatar import Avatar, read_frames
-from samira_warp.images import read_image
+from samira_warp.io.images import read_image
 from samira_warp.train.config import PRESETS, TrainConfig
 from samira_warp.train.setup import resolve
 
@@ -26,14 +26,23 @@ def lines(path):
 
 
 def same_bits(first, second):
-    return (first / "avatar" / "avatar.safetensors").read_bytes() == (second / "avatar" / "avatar.safetensors").read_bytes()
+    return (first / "avatar" / "avatar.safetensors").read_bytes() == (
+        second / "avatar" / "avatar.safetensors"
+    ).read_bytes()
 
 
 def test_a_run_folder_holds_what_the_contract_says(tiny_run):
     names = {path.name for path in tiny_run.iterdir()}
     events = {name for name in names if name.startswith("events.out.tfevents")}
     assert len(events) == 1
-    assert names - events == {"config.json", "metrics.jsonl", "checkpoints", "avatar", "results.json", "preview"}
+    assert names - events == {
+        "config.json",
+        "metrics.jsonl",
+        "checkpoints",
+        "avatar",
+        "results.json",
+        "preview",
+    }
     assert {path.name for path in (tiny_run / "avatar").iterdir()} == {
         "avatar.json",
         "avatar.safetensors",
@@ -42,7 +51,10 @@ def test_a_run_folder_holds_what_the_contract_says(tiny_run):
         "light_specular.exr",
         "template.npz",
     }
-    assert sorted(path.name for path in (tiny_run / "checkpoints").iterdir()) == ["step_000003", "step_000006"]
+    assert sorted(path.name for path in (tiny_run / "checkpoints").iterdir()) == [
+        "step_000003",
+        "step_000006",
+    ]
     assert sorted(path.name for path in (tiny_run / "preview").iterdir()) == ["000003.png", "000006.png"]
 
 
@@ -114,8 +126,16 @@ def test_the_avatar_keeps_its_frames_fitted_where_it_trained(tiny_run, tiny_data
 
 def test_training_learns(tiny_run):
     """What the last checkpoint holds differs from the first in every group that has a gradient by then."""
-    first, last = (load_file(tiny_run / "checkpoints" / f"step_{step:06d}" / "avatar.safetensors") for step in (3, 6))
-    for name in ("light.diffuse", "light.specular", "response_logits", "motion.residual.weight", "motion.gates"):
+    first, last = (
+        load_file(tiny_run / "checkpoints" / f"step_{step:06d}" / "avatar.safetensors") for step in (3, 6)
+    )
+    for name in (
+        "light.diffuse",
+        "light.specular",
+        "response_logits",
+        "motion.residual.weight",
+        "motion.gates",
+    ):
         assert not torch.equal(first[name], last[name]), name
 
 
@@ -133,14 +153,46 @@ def test_another_seed_gives_another_avatar(tiny_run, tiny_dataset, tmp_path):
 
 def test_the_command_itself(tiny_dataset, tmp_path):
     """A real process with the real preset: two steps, nothing but the result on standard output."""
-    options = ["--resolution", "24", "--gaussians", "100", "--max-steps", "2", "--encoder", "random", "--device", "cpu", "--split", "0.5"]
-    command = [sys.executable, "-m", "samira_warp.train", "--data", str(tiny_dataset), "--out", str(tmp_path / "run"), *options]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=300, env={**os.environ, "HF_HUB_OFFLINE": "1"}, check=False)
+    options = [
+        "--resolution",
+        "24",
+        "--gaussians",
+        "100",
+        "--max-steps",
+        "2",
+        "--encoder",
+        "random",
+        "--device",
+        "cpu",
+        "--split",
+        "0.5",
+    ]
+    command = [
+        sys.executable,
+        "-m",
+        "samira_warp.train",
+        "--data",
+        str(tiny_dataset),
+        "--out",
+        str(tmp_path / "run"),
+        *options,
+    ]
+    done = subprocess.run(
+        command,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        env={**os.environ, "HF_HUB_OFFLINE": "1"},
+        check=False,
+    )
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["psnr"] > 5
     assert "Traceback" not in done.stderr
     assert "3 training and 3 test frames" in done.stderr
-    assert json.loads((tmp_path / "run" / "avatar" / "avatar.json").read_text())["settings"]["uv_size"] == PRESETS["cpu"].uv_size
+    assert (
+        json.loads((tmp_path / "run" / "avatar" / "avatar.json").read_text())["settings"]["uv_size"]
+        == PRESETS["cpu"].uv_size
+    )
 
 
 def test_defaults_follow_the_machine(tmp_path):
@@ -153,7 +205,11 @@ def test_defaults_follow_the_machine(tmp_path):
 
 
 def test_epochs_decide_the_steps_where_max_steps_does_not(tiny_dataset, tmp_path):
-    arguments = [word for word in train_arguments(tiny_dataset, tmp_path / "run") if word not in ("--max-steps", str(STEPS))]
+    arguments = [
+        word
+        for word in train_arguments(tiny_dataset, tmp_path / "run")
+        if word not in ("--max-steps", str(STEPS))
+    ]
     assert train_command(*arguments, "--epochs", 1) == 0
     assert json.loads((tmp_path / "run" / "config.json").read_text())["steps"] == 4
 

@@ -3,8 +3,8 @@ import torch
 from subjects import SMALL_LIGHT, parameters, small_avatar, small_canonical
 
 from samira_warp.avatar import Gaussians
-from samira_warp.head.geometry import face_areas
-from samira_warp.kernels.triangle_frames import triangle_frames
+from samira_warp.geometry.mesh import face_areas
+from samira_warp.kernels.mesh.triangle_frames import triangle_frames
 from samira_warp.train.config import RATES
 from samira_warp.train.density import (
     GRADIENT_THRESHOLD,
@@ -36,7 +36,9 @@ def statistics_of(count, wanted, device, *, low=0.0):
     """Every Gaussian was seen twice; those ``wanted`` lie above the threshold, the later the further."""
     statistics = DensityStatistics(count, torch.device(device))
     statistics.gradient += low
-    statistics.gradient[wanted] = 4 * GRADIENT_THRESHOLD * (1 + torch.arange(len(wanted), device=device) / len(wanted))
+    statistics.gradient[wanted] = (
+        4 * GRADIENT_THRESHOLD * (1 + torch.arange(len(wanted), device=device) / len(wanted))
+    )
     statistics.views += 2
     return statistics
 
@@ -59,9 +61,14 @@ def sized(gaussians, factor, chosen):
 
 
 def test_nothing_wanted_changes_nothing(gaussians):
-    change = control(gaussians, statistics_of(COUNT, torch.tensor([], dtype=torch.long), gaussians.means.device))
+    change = control(
+        gaussians, statistics_of(COUNT, torch.tensor([], dtype=torch.long), gaussians.means.device)
+    )
     assert change.kept.tolist() == list(range(COUNT))
-    assert all(torch.equal(a, b) for a, b in zip(gaussians.tensors().values(), change.gaussians.tensors().values(), strict=True))
+    assert all(
+        torch.equal(a, b)
+        for a, b in zip(gaussians.tensors().values(), change.gaussians.tensors().values(), strict=True)
+    )
 
 
 def test_small_ones_are_cloned_as_they_are(gaussians):
@@ -106,11 +113,17 @@ def test_split_positions_follow_the_parents_own_distribution(gaussians):
     q = torch.nn.functional.normalize(gaussians.quaternions.detach(), dim=1)
     w, v = q[:, :1], q[:, 1:]
     for seed in range(10):
-        change = control(gaussians, statistics_of(COUNT, torch.arange(COUNT, device=device), device), seed=seed)
+        change = control(
+            gaussians, statistics_of(COUNT, torch.arange(COUNT, device=device), device), seed=seed
+        )
         for half in (slice(0, COUNT), slice(COUNT, 2 * COUNT)):
             offset = change.gaussians.means.detach()[half] - gaussians.means.detach()
             # turned by the conjugate quaternion: p + 2 w (p x v) + 2 v x (v x p)
-            back = offset - 2 * w * torch.linalg.cross(v, offset) + 2 * torch.linalg.cross(v, torch.linalg.cross(v, offset))
+            back = (
+                offset
+                - 2 * w * torch.linalg.cross(v, offset)
+                + 2 * torch.linalg.cross(v, torch.linalg.cross(v, offset))
+            )
             offsets.append(back / scales)
     standard = torch.cat(offsets)
     # 4000 draws an axis: standard errors of mean and deviation are 0.016 and 0.011; four of them
@@ -131,7 +144,9 @@ def test_the_cap_serves_the_largest_gradients_first(gaussians):
 
 @pytest.mark.parametrize("cap", [COUNT, COUNT - 50, 1])
 def test_a_full_cap_adds_and_removes_nothing(gaussians, cap):
-    statistics = statistics_of(COUNT, torch.arange(COUNT, device=gaussians.means.device), gaussians.means.device)
+    statistics = statistics_of(
+        COUNT, torch.arange(COUNT, device=gaussians.means.device), gaussians.means.device
+    )
     assert len(control(gaussians, statistics, cap=cap).gaussians) == COUNT
 
 
@@ -144,7 +159,8 @@ def test_faint_ones_go_but_each_face_keeps_its_most_opaque(gaussians):
     faces = gaussians.faces.cpu()
     opacities = gaussians.opacities.detach().cpu()
     expected = {
-        max((index for index in range(COUNT) if faces[index] == face), key=lambda index: opacities[index]) for face in faces.unique()
+        max((index for index in range(COUNT) if faces[index] == face), key=lambda index: opacities[index])
+        for face in faces.unique()
     }
     expected |= set(range(10))
     assert len(expected) < COUNT
@@ -155,7 +171,9 @@ def test_faint_ones_go_but_each_face_keeps_its_most_opaque(gaussians):
 def test_equally_faint_ones_on_a_face_keep_one(gaussians):
     with torch.no_grad():
         gaussians.opacity_logits.fill_(-20.0)
-    change = control(gaussians, statistics_of(COUNT, torch.tensor([], dtype=torch.long), gaussians.means.device))
+    change = control(
+        gaussians, statistics_of(COUNT, torch.tensor([], dtype=torch.long), gaussians.means.device)
+    )
     assert sorted(change.gaussians.faces.tolist()) == gaussians.faces.unique().tolist()
 
 
@@ -177,14 +195,17 @@ def test_the_threshold_is_on_the_mean_over_the_frames_that_saw_it(device):
     statistics.add(gradient, seen, width=10, height=20)
     statistics.add(gradient, torch.tensor([False, True, False], device=device), width=10, height=20)
     # per pixel times half the size: (3 x 5, 4 x 10) and (1 x 5, 0)
-    torch.testing.assert_close(statistics.mean, torch.tensor([(15.0**2 + 40.0**2) ** 0.5, 5.0, 0.0], device=device))
+    torch.testing.assert_close(
+        statistics.mean, torch.tensor([(15.0**2 + 40.0**2) ** 0.5, 5.0, 0.0], device=device)
+    )
 
 
 def test_the_same_seed_gives_the_same_children(gaussians):
     device = gaussians.means.device
     sized(gaussians, 1e3, slice(None))
     first, second, other = (
-        control(gaussians, statistics_of(COUNT, torch.arange(40, device=device), device), seed=seed) for seed in (1, 1, 2)
+        control(gaussians, statistics_of(COUNT, torch.arange(40, device=device), device), seed=seed)
+        for seed in (1, 1, 2)
     )
     assert torch.equal(first.gaussians.means, second.gaussians.means)
     assert not torch.equal(first.gaussians.means, other.gaussians.means)
@@ -213,7 +234,10 @@ def test_moments_follow_the_gaussians_that_stay():
     old = avatar.gaussians
     kept = torch.tensor([0, 2, 199])
     new = Gaussians({name: torch.cat([value[kept], value[:2]]) for name, value in old.tensors().items()})
-    before = {name: {key: value.clone() for key, value in optimizer.state[getattr(old, name)].items()} for name in Gaussians.PARAMETERS}
+    before = {
+        name: {key: value.clone() for key, value in optimizer.state[getattr(old, name)].items()}
+        for name in Gaussians.PARAMETERS
+    }
     replace_gaussians(optimizer, old, new, kept)
     groups = {group["name"]: group["params"] for group in optimizer.param_groups}
     for name in Gaussians.PARAMETERS:
@@ -244,7 +268,9 @@ def test_one_groups_moments_can_be_forgotten():
     for group in optimizer.param_groups:
         for parameter in group["params"]:
             for moment in ("exp_avg", "exp_avg_sq"):
-                assert bool(optimizer.state[parameter][moment].any()) is (group["name"] != "opacity_logits"), group["name"]
+                assert bool(optimizer.state[parameter][moment].any()) is (
+                    group["name"] != "opacity_logits"
+                ), group["name"]
     before = avatar.gaussians.opacity_logits.detach().clone()
     avatar.gaussians.opacity_logits.grad.zero_()
     optimizer.step()

@@ -6,11 +6,16 @@ from subjects import parameters, small_canonical
 
 from samira_warp.avatar import conditions_of
 from samira_warp.data import PixelCache, open_sequence
-from samira_warp.head.geometry import face_areas, vertex_normals
-from samira_warp.kernels.triangle_frames import triangle_frames
+from samira_warp.geometry.mesh import face_areas, vertex_normals
+from samira_warp.kernels.mesh.triangle_frames import triangle_frames
 from samira_warp.nets import ConditionStatistics
 from samira_warp.train import initialize
-from samira_warp.train.initialize import choose_reference, condition_statistics, initial_albedo, initial_gaussians
+from samira_warp.train.initialize import (
+    choose_reference,
+    condition_statistics,
+    initial_albedo,
+    initial_gaussians,
+)
 from samira_warp.train.tracking import FIELDS, TrackedParameters
 
 COUNT = 3000
@@ -21,14 +26,20 @@ def placed(*, count=COUNT, smooth=True, seed=0, albedo=None, device="cpu"):
     size = canonical.atlas.size
     albedo = torch.full((size, size, 3), 0.3, device=device) if albedo is None else albedo
     generator = torch.Generator().manual_seed(seed)
-    return canonical, initial_gaussians(canonical, count=count, opacity=0.5, albedo=albedo, smooth_normals=smooth, generator=generator)
+    return canonical, initial_gaussians(
+        canonical, count=count, opacity=0.5, albedo=albedo, smooth_normals=smooth, generator=generator
+    )
 
 
 def factors(canonical):
-    """(F,) three for faces of eye regions and lips, a half for eyeballs, one for the rest: by two corners of three."""
+    """(F,) three for faces of eye regions and lips, a half for eyeballs, one for the rest: by two corners of
+    three."""
     groups = canonical.template.masks
     result = torch.ones(len(canonical.topology.faces))
-    for names, factor in ((("left_eye_region", "right_eye_region", "lips"), 3.0), (("left_eyeball", "right_eyeball"), 0.5)):
+    for names, factor in (
+        (("left_eye_region", "right_eye_region", "lips"), 3.0),
+        (("left_eyeball", "right_eyeball"), 0.5),
+    ):
         inside = torch.zeros(len(canonical.vertices), dtype=torch.long)
         for name in names:
             inside[torch.from_numpy(groups[name]).long()] = 1
@@ -65,7 +76,9 @@ def test_normals_are_unit_and_interpolated_or_the_faces(device):
     assert torch.equal(normals, gaussians.initial_normals)
     rotation = triangle_frames(canonical.vertices, canonical.topology).rotation[gaussians.faces.long()]
     world = torch.einsum("nij,nj->ni", rotation, normals)
-    corners = vertex_normals(canonical.vertices, canonical.topology.faces)[canonical.topology.faces[gaussians.faces.long()].long()]
+    corners = vertex_normals(canonical.vertices, canonical.topology.faces)[
+        canonical.topology.faces[gaussians.faces.long()].long()
+    ]
     # an interpolated normal is nearer to some corner's than the corners are to one another
     nearest = torch.einsum("nkc,nc->nk", corners, world).amax(1)
     apart = torch.einsum("nkc,nlc->nkl", corners, corners).amin((1, 2))
@@ -87,7 +100,9 @@ def test_albedo_is_sampled_where_each_lies_in_the_atlas():
 
 def test_the_seed_decides(device):
     first, second, other = (placed(seed=seed, device=device)[1] for seed in (0, 0, 1))
-    assert all(torch.equal(a, b) for a, b in zip(first.tensors().values(), second.tensors().values(), strict=True))
+    assert all(
+        torch.equal(a, b) for a, b in zip(first.tensors().values(), second.tensors().values(), strict=True)
+    )
     assert not torch.equal(first.means, other.means)
 
 
@@ -110,7 +125,10 @@ def sequence(tiny_dataset):
 
 def with_frames(sequence, changes):
     """The sequence with other parameters for some frames, by index."""
-    frames = [replace(frame, parameters=changes.get(index, frame.parameters)) for index, frame in enumerate(sequence.frames)]
+    frames = [
+        replace(frame, parameters=changes.get(index, frame.parameters))
+        for index, frame in enumerate(sequence.frames)
+    ]
     return replace(sequence, frames=tuple(frames))
 
 
@@ -120,7 +138,11 @@ def test_the_reference_is_the_frontal_neutral_frame(sequence):
     turned = {index: replace(rest, rotation=torch.tensor([0.0, 0.5, 0.0])) for index in range(6)}
     for index in sequence.train:
         assert (
-            choose_reference(with_frames(sequence, {**turned, index: rest}), canonical, ConditionStatistics.of([conditions_of(rest)]))
+            choose_reference(
+                with_frames(sequence, {**turned, index: rest}),
+                canonical,
+                ConditionStatistics.of([conditions_of(rest)]),
+            )
             == index
         )
 
@@ -129,7 +151,10 @@ def test_the_reference_has_the_mean_expression_among_frontal_frames(sequence):
     canonical = small_canonical()
     rest = canonical.model.rest()
     values = dict(zip(sequence.train, (-2.0, 0.6, 2.0, -2.0), strict=True))
-    frames = {index: replace(rest, expression=torch.full_like(rest.expression, value)) for index, value in values.items()}
+    frames = {
+        index: replace(rest, expression=torch.full_like(rest.expression, value))
+        for index, value in values.items()
+    }
     changed = with_frames(sequence, frames)
     assert choose_reference(changed, canonical, condition_statistics(changed)) == sequence.train[1]
 
@@ -140,7 +165,9 @@ def test_test_frames_are_neither_reference_nor_in_the_statistics(sequence):
     away = {index: parameters(index) for index in sequence.train}
     changed = with_frames(sequence, {**away, **dict.fromkeys(sequence.test, rest)})
     assert choose_reference(changed, canonical, condition_statistics(changed)) in sequence.train
-    wild = with_frames(sequence, {index: replace(rest, expression=rest.expression + 99) for index in sequence.test})
+    wild = with_frames(
+        sequence, {index: replace(rest, expression=rest.expression + 99) for index in sequence.test}
+    )
     before, after = condition_statistics(sequence).state_dict(), condition_statistics(wild).state_dict()
     assert all(torch.equal(before[name], after[name]) for name in before)
 
@@ -170,7 +197,9 @@ def test_initial_albedo_is_the_pseudo_albedo_or_the_reference_image(sequence):
 )
 def test_the_albedo_is_unwrapped_from_twelve_frames_that_have_one(sequence, monkeypatch, having, expected):
     path = sequence.frames[sequence.train[0]].albedo_path
-    frames = [replace(sequence.frames[0], albedo_path=path if index in having else None) for index in range(64)]
+    frames = [
+        replace(sequence.frames[0], albedo_path=path if index in having else None) for index in range(64)
+    ]
     long = replace(sequence, frames=tuple(frames), train=tuple(range(62)), test=(62, 63))
     seen = []
     monkeypatch.setattr(initialize, "view_of", lambda sequence, pixels, index, *, albedo: seen.append(index))
@@ -182,7 +211,9 @@ def test_tracked_parameters_start_as_tracked_and_learn_by_row(sequence):
     frames = [sequence.frames[index].parameters for index in sequence.train]
     tracked = TrackedParameters(frames)
     for row, frame in enumerate(frames):
-        assert all(torch.equal(getattr(tracked.frame(row, frame), name), getattr(frame, name)) for name in FIELDS)
+        assert all(
+            torch.equal(getattr(tracked.frame(row, frame), name), getattr(frame, name)) for name in FIELDS
+        )
     offset = torch.ones(len(sequence.template.v_template), 3)
     driven = tracked.frame(2, replace(frames[2], static_offset=offset))
     assert driven.static_offset is offset

@@ -9,10 +9,19 @@ from subjects import SMALL_LIGHT, camera, parameters, small_avatar
 
 from samira_warp.light import decode_srgb
 from samira_warp.train.config import LossWeights
-from samira_warp.train.losses import Target, albedo_loss, linear_albedo, normal_prior, normal_smoothness, total_loss
+from samira_warp.train.losses import (
+    Target,
+    albedo_loss,
+    linear_albedo,
+    normal_prior,
+    normal_smoothness,
+    total_loss,
+)
 
 SIZE = 24
-WEIGHTS = LossWeights(ssim=0.2, lpips=0.05, normal_smoothness=0.15, normal_prior=0.1, albedo=0.1, mask=0.1, response=1e-3)
+WEIGHTS = LossWeights(
+    ssim=0.2, lpips=0.05, normal_smoothness=0.15, normal_prior=0.1, albedo=0.1, mask=0.1, response=1e-3
+)
 
 
 @pytest.fixture
@@ -21,16 +30,22 @@ def scene(device, generator):
         return torch.rand(*shape, generator=generator).to(device)
 
     gbuffer = SimpleNamespace(
-        albedo=draw(SIZE, SIZE, 3), normal=torch.nn.functional.normalize(draw(SIZE, SIZE, 3), dim=-1), alpha=draw(SIZE, SIZE, 1)
+        albedo=draw(SIZE, SIZE, 3),
+        normal=torch.nn.functional.normalize(draw(SIZE, SIZE, 3), dim=-1),
+        alpha=draw(SIZE, SIZE, 1),
     )
-    motion = SimpleNamespace(residual_position=0.02 * (draw(4, 4, 3) - 0.5), residual_rotation=draw(4, 4, 3) - 0.5)
+    motion = SimpleNamespace(
+        residual_position=0.02 * (draw(4, 4, 3) - 0.5), residual_rotation=draw(4, 4, 3) - 0.5
+    )
     rendering = SimpleNamespace(image=draw(SIZE, SIZE, 3), gbuffer=gbuffer, motion=motion)
     initial = torch.nn.functional.normalize(draw(10, 3), dim=1)
     avatar = SimpleNamespace(
         gaussians=SimpleNamespace(normals=2 * draw(10, 3) + 0.1, initial_normals=initial),
         response_logits=draw(10, 2) - 0.5,
         settings=SimpleNamespace(residual=True),
-        canonical=SimpleNamespace(atlas=SimpleNamespace(valid=torch.arange(16).view(4, 4).to(device) % 3 > 0)),
+        canonical=SimpleNamespace(
+            atlas=SimpleNamespace(valid=torch.arange(16).view(4, 4).to(device) % 3 > 0)
+        ),
     )
     return rendering, Target(draw(SIZE, SIZE, 3), draw(SIZE, SIZE), draw(SIZE, SIZE, 3)), avatar
 
@@ -41,7 +56,9 @@ def numpy_of(tensor):
 
 def test_every_term_has_its_closed_form(scene):
     rendering, target, avatar = scene
-    terms = total_loss(rendering, target, avatar, WEIGHTS, stage_two=True, perceptual=lambda a, b: (a - b).square().mean())
+    terms = total_loss(
+        rendering, target, avatar, WEIGHTS, stage_two=True, perceptual=lambda a, b: (a - b).square().mean()
+    )
     image, truth = numpy_of(rendering.image), numpy_of(target.image)
     g = rendering.gbuffer
     alpha, normal = numpy_of(g.alpha)[..., 0], numpy_of(g.normal)
@@ -89,7 +106,11 @@ def test_ssim_is_its_definition_with_mirrored_borders_and_scikit_images_inside(s
     variance_x, variance_y = blurred(truth**2) - mean_x**2, blurred(image**2) - mean_y**2
     covariance = blurred(truth * image) - mean_x * mean_y
     c1, c2 = 0.01**2, 0.03**2
-    similarity = (2 * mean_x * mean_y + c1) * (2 * covariance + c2) / ((mean_x**2 + mean_y**2 + c1) * (variance_x + variance_y + c2))
+    similarity = (
+        (2 * mean_x * mean_y + c1)
+        * (2 * covariance + c2)
+        / ((mean_x**2 + mean_y**2 + c1) * (variance_x + variance_y + c2))
+    )
     # float32 differences of squares of about one, over variances of 0.08
     assert float(term) == pytest.approx(0.2 * (1 - similarity.mean()), rel=1e-4)
     assert 0.1 < similarity.mean() < 0.95
@@ -103,7 +124,10 @@ def test_a_perfect_image_costs_nothing(scene):
     rendering, target, avatar = scene
     rendering.image, rendering.gbuffer.alpha = target.image, target.mask[..., None]
     rendering.gbuffer.albedo = target.albedo
-    rendering.motion.residual_position, rendering.motion.residual_rotation = torch.zeros(4, 4, 3), torch.zeros(4, 4, 3)
+    rendering.motion.residual_position, rendering.motion.residual_rotation = (
+        torch.zeros(4, 4, 3),
+        torch.zeros(4, 4, 3),
+    )
     terms = total_loss(rendering, target, avatar, WEIGHTS, stage_two=False, perceptual=None)
     assert set(terms) == {"l1", "ssim", "mask", "albedo", "residual"}
     assert float(sum(terms.values())) == pytest.approx(0.0, abs=1e-6)
@@ -153,7 +177,11 @@ def test_gradients_of_all_terms_reach_the_avatar(generator):
         avatar.response_logits.normal_(generator=generator)
         avatar.gaussians.normals.add_(0.3 * torch.randn(avatar.gaussians.normals.shape, generator=generator))
     rendering = avatar.render(parameters(0), camera(32))
-    target = Target(torch.rand(32, 32, 3, generator=generator), torch.ones(32, 32), torch.rand(32, 32, 3, generator=generator))
+    target = Target(
+        torch.rand(32, 32, 3, generator=generator),
+        torch.ones(32, 32),
+        torch.rand(32, 32, 3, generator=generator),
+    )
     terms = total_loss(rendering, target, avatar, WEIGHTS, stage_two=True, perceptual=None)
     reached = {
         "l1": avatar.gaussians.albedo_logits,

@@ -25,9 +25,21 @@ DAMAGES = {
     "no canonical parameters": ("canonical_flame_param.npz", os.unlink, "no such file"),
     "no list of frames": (TRAIN, os.unlink, "no such file"),
     "a list that is no JSON": (TRAIN, lambda path: path.write_text("{"), "JSON"),
-    "an empty split": (TRAIN, lambda path: change_json(path, lambda d: d["frames"].clear()), "at least one frame"),
-    "no key for the image": (TRAIN, lambda path: change_json(path, lambda d: d["frames"][1].pop("file_path")), "file_path"),
-    "no key for the camera": (TRAIN, lambda path: change_json(path, lambda d: d["frames"][0].pop("transform_matrix")), "transform_matrix"),
+    "an empty split": (
+        TRAIN,
+        lambda path: change_json(path, lambda d: d["frames"].clear()),
+        "at least one frame",
+    ),
+    "no key for the image": (
+        TRAIN,
+        lambda path: change_json(path, lambda d: d["frames"][1].pop("file_path")),
+        "file_path",
+    ),
+    "no key for the camera": (
+        TRAIN,
+        lambda path: change_json(path, lambda d: d["frames"][0].pop("transform_matrix")),
+        "transform_matrix",
+    ),
     "no image": ("images/00001_00.png", os.unlink, "no such file"),
     "no mask": ("fg_masks/00001_00.png", os.unlink, "no such file"),
     "an image of another size": ("images/00002_00.png", widen, "64 x 32"),
@@ -41,7 +53,11 @@ DAMAGES = {
     "parameters that are no archive": (FIRST, lambda path: path.write_bytes(b"zip?"), "npz"),
     "another identity": (FIRST, lambda path: change_arrays(path, shape=lambda a: a + 1), "identity"),
     "a template without weights": ("template.npz", lambda path: change_arrays(path, weights=None), "weights"),
-    "a template with NaN": ("template.npz", lambda path: change_arrays(path, v_template=with_value(np.nan)), "finite"),
+    "a template with NaN": (
+        "template.npz",
+        lambda path: change_arrays(path, v_template=with_value(np.nan)),
+        "finite",
+    ),
     "no template": ("template.npz", os.unlink, "--flame"),
 }
 
@@ -108,7 +124,9 @@ def test_images_too_small_for_ssim_are_refused(tiny_dataset, tmp_path, capsys):
         (["--out", "other", "--lpips-weights", "nowhere"], "nowhere"),
     ],
 )
-def test_the_built_in_subject_is_not_made_for_a_run_that_cannot_be(options, complaint, tmp_path, monkeypatch, capsys):
+def test_the_built_in_subject_is_not_made_for_a_run_that_cannot_be(
+    options, complaint, tmp_path, monkeypatch, capsys
+):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("SAMIRA_WARP_CACHE", str(tmp_path / "cache"))
     (tmp_path / "runs" / "built_in" / "checkpoints" / "step_000003").mkdir(parents=True)
@@ -125,7 +143,9 @@ def test_no_gpu(tiny_dataset, tmp_path, capsys):
 
 def test_a_missing_head_model_is_named(dataset, tmp_path, capsys):
     (dataset / "template.npz").unlink()
-    message = refused(capsys, *train_arguments(dataset, tmp_path / "run"), "--flame", tmp_path / "flame2023.npz")
+    message = refused(
+        capsys, *train_arguments(dataset, tmp_path / "run"), "--flame", tmp_path / "flame2023.npz"
+    )
     assert str(tmp_path / "flame2023.npz") in message
     assert not (tmp_path / "run").exists()
 
@@ -148,7 +168,15 @@ def test_a_run_folder_that_is_a_file(tiny_dataset, tmp_path, capsys):
 
 
 def test_the_process_itself_says_one_line(tmp_path):
-    command = [sys.executable, "-m", "samira_warp.train", "--data", str(tmp_path / "nowhere"), "--out", str(tmp_path / "run")]
+    command = [
+        sys.executable,
+        "-m",
+        "samira_warp.train",
+        "--data",
+        str(tmp_path / "nowhere"),
+        "--out",
+        str(tmp_path / "run"),
+    ]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 2
     assert done.stdout == ""
@@ -163,7 +191,9 @@ def late_frame():
     return order[3], order[2]
 
 
-def test_a_broken_image_in_the_stream_ends_the_run_with_the_last_checkpoint_whole(dataset, tiny_run, tmp_path, capsys):
+def test_a_broken_image_in_the_stream_ends_the_run_with_the_last_checkpoint_whole(
+    dataset, tiny_run, tmp_path, capsys
+):
     reference = json.loads((tiny_run / "config.json").read_text())["reference_frame"]
     last, before = (f"{index:05d}_00" for index in late_frame())
     name = before if last == reference else last

@@ -45,13 +45,18 @@ sys.exit(subjects.train_command(*sys.argv[1:]))
 
 
 def end_by(name, arguments, *, in_step=True):
-    """Run the train verb in a process that gets a signal: in its fifth step, or while it writes its second checkpoint."""
+    """Run the train verb in a process that gets a signal: in its fifth step, or while it writes its second
+    checkpoint."""
     script = ENDED.format(tests=str(TESTS), signal=name, in_step=in_step)
-    return subprocess.run([sys.executable, "-c", script, *arguments], capture_output=True, text=True, timeout=300, check=False)
+    return subprocess.run(
+        [sys.executable, "-c", script, *arguments], capture_output=True, text=True, timeout=300, check=False
+    )
 
 
 def same_bits(first, second):
-    return (first / "avatar" / "avatar.safetensors").read_bytes() == (second / "avatar" / "avatar.safetensors").read_bytes()
+    return (first / "avatar" / "avatar.safetensors").read_bytes() == (
+        second / "avatar" / "avatar.safetensors"
+    ).read_bytes()
 
 
 def checkpoints(folder):
@@ -83,7 +88,9 @@ def test_ctrl_c_saves_a_checkpoint_says_how_to_go_on_and_exits_130(tiny_run, tin
     assert checkpoints(tmp_path / "run") == ["step_000003", "step_000005"]
     assert train_command(*arguments, "--resume") == 0
     assert same_bits(tiny_run, tmp_path / "run")
-    steps = [json.loads(line)["step"] for line in (tmp_path / "run" / "metrics.jsonl").read_text().splitlines()]
+    steps = [
+        json.loads(line)["step"] for line in (tmp_path / "run" / "metrics.jsonl").read_text().splitlines()
+    ]
     assert steps == sorted(set(steps))
 
 
@@ -103,7 +110,14 @@ def refused(capsys, *arguments):
 
 
 @pytest.mark.parametrize(
-    ("option", "value"), [("--seed", "7"), ("--max-steps", "9"), ("--resolution", "16"), ("--split", "0.5"), ("--ablate", "no-mask")]
+    ("option", "value"),
+    [
+        ("--seed", "7"),
+        ("--max-steps", "9"),
+        ("--resolution", "16"),
+        ("--split", "0.5"),
+        ("--ablate", "no-mask"),
+    ],
 )
 def test_resuming_with_other_settings_is_refused(tiny_run, tiny_dataset, tmp_path, capsys, option, value):
     folder = shutil.copytree(tiny_run, tmp_path / "run")
@@ -145,7 +159,9 @@ def test_the_same_data_may_have_moved_and_the_record_stays(tiny_run, tiny_datase
     assert (folder / "config.json").read_bytes() == before
 
 
-def test_resuming_with_or_without_lpips_where_it_was_the_other_way_is_refused(tiny_run, tiny_dataset, tmp_path, capsys):
+def test_resuming_with_or_without_lpips_where_it_was_the_other_way_is_refused(
+    tiny_run, tiny_dataset, tmp_path, capsys
+):
     folder = shutil.copytree(tiny_run, tmp_path / "run")
     weights = tmp_path / "weights"
     if json.loads((folder / "config.json").read_text())["perceptual"]:
@@ -203,7 +219,9 @@ def test_a_broken_checkpoint_is_named(tiny_run, tiny_dataset, tmp_path, capsys, 
 
 
 @pytest.mark.parametrize("file", ["avatar.safetensors", "training.safetensors"])
-def test_a_full_disk_leaves_the_last_checkpoint_whole(tiny_run, tiny_dataset, tmp_path, monkeypatch, capsys, file):
+def test_a_full_disk_leaves_the_last_checkpoint_whole(
+    tiny_run, tiny_dataset, tmp_path, monkeypatch, capsys, file
+):
     save = trainer.save_checkpoint
     # just too small for the file, and large enough for what is written before it
     limit = (tiny_run / "checkpoints" / "step_000006" / file).stat().st_size - 1000

@@ -7,7 +7,9 @@ from samira_warp.train.config import LONG_RUN, RATES, SHORT_RUN, WARM_UP, Schedu
 
 
 @pytest.mark.parametrize("group", RATES)
-@pytest.mark.parametrize(("steps", "length"), [(3_000, "short"), (SHORT_RUN, "short"), (LONG_RUN, "long"), (90_000, "long")])
+@pytest.mark.parametrize(
+    ("steps", "length"), [(3_000, "short"), (SHORT_RUN, "short"), (LONG_RUN, "long"), (90_000, "long")]
+)
 def test_rates_start_at_their_first_value_and_end_at_their_last(group, steps, length):
     first, last = getattr(RATES[group], length)
     warm = round(WARM_UP * steps)
@@ -16,7 +18,9 @@ def test_rates_start_at_their_first_value_and_end_at_their_last(group, steps, le
     assert first * 0.99 < learning_rate(group, step=warm, steps=steps) <= first
     assert learning_rate(group, step=steps, steps=steps) == pytest.approx(last)
     # the cosine is flat at its end: one step before it, 2.5 / steps^2 of the way are left
-    assert learning_rate(group, step=steps - 1, steps=steps) == pytest.approx(last + (first - last) * (math.pi / (2 * steps)) ** 2)
+    assert learning_rate(group, step=steps - 1, steps=steps) == pytest.approx(
+        last + (first - last) * (math.pi / (2 * steps)) ** 2
+    )
 
 
 def test_warm_up_rises_linearly_over_two_per_cent():
@@ -37,8 +41,12 @@ def test_between_short_and_long_runs_rates_are_log_interpolated():
     middle = round(math.sqrt(SHORT_RUN * LONG_RUN))
     for group in ("network", "light", "expression"):
         (_, short), (_, long) = RATES[group].short, RATES[group].long
-        assert learning_rate(group, step=middle, steps=middle) == pytest.approx(math.sqrt(short * long), rel=1e-3)
-    ends = [learning_rate("light", step=steps, steps=steps) for steps in (10_000, 14_000, 20_000, 28_000, 30_000)]
+        assert learning_rate(group, step=middle, steps=middle) == pytest.approx(
+            math.sqrt(short * long), rel=1e-3
+        )
+    ends = [
+        learning_rate("light", step=steps, steps=steps) for steps in (10_000, 14_000, 20_000, 28_000, 30_000)
+    ]
     assert ends == sorted(ends, reverse=True)
 
 
@@ -46,7 +54,11 @@ def test_the_papers_rates_and_the_designs():
     assert RATES["network"].long == (1e-4, 1e-5)
     assert RATES["light"].short == (1e-2, 1e-3)
     assert RATES["means"].short == (5e-3, 5e-5)
-    assert [RATES[name].short[0] for name in ("log_scales", "quaternions", "opacity_logits")] == [0.017, 1e-3, 0.05]
+    assert [RATES[name].short[0] for name in ("log_scales", "quaternions", "opacity_logits")] == [
+        0.017,
+        1e-3,
+        0.05,
+    ]
     assert [RATES[name].long[0] for name in ("expression", "pose", "translation")] == [1e-3, 1e-5, 1e-6]
 
 
@@ -64,7 +76,9 @@ def test_density_events():
     schedule = Schedule(3_000)
     events = [step for step in range(3_000) if schedule.density_event(step)]
     # every 75 steps from 300 to 1800, none in the 150 steps after stage two begins at 900
-    expected = [75 * k - 1 for k in range(1, 41) if 300 <= 75 * k - 1 < 1_800 and not 900 <= 75 * k - 1 < 1_050]
+    expected = [
+        75 * k - 1 for k in range(1, 41) if 300 <= 75 * k - 1 < 1_800 and not 900 <= 75 * k - 1 < 1_050
+    ]
     assert events == expected
     assert len(events) == 18
     assert [step for step in range(3_000) if schedule.density_window(step)] == list(range(300, 1_800))

@@ -2,7 +2,7 @@ import torch
 from scipy.spatial import cKDTree
 from subjects import camera, small_canonical
 
-from samira_warp.head.geometry import vertex_normals
+from samira_warp.geometry.mesh import vertex_normals
 from samira_warp.train.unwrap import GRAZING_COSINE, View, unwrap
 
 SIZE = 128
@@ -16,10 +16,13 @@ def view_of(canonical, image, *, mask=None):
 
 
 def projected(canonical):
-    """Pixel coordinates (h, w, 2) and the cosine (h, w) at which the camera sees each texel of the reference mesh."""
+    """Pixel coordinates (h, w, 2) and the cosine (h, w) at which the camera sees each texel of the reference
+    mesh."""
     view = camera(SIZE)
     points = canonical.positions
-    normals = torch.nn.functional.normalize(canonical.atlas.positions(vertex_normals(canonical.vertices, canonical.topology.faces)), dim=-1)
+    normals = torch.nn.functional.normalize(
+        canonical.atlas.positions(vertex_normals(canonical.vertices, canonical.topology.faces)), dim=-1
+    )
     in_camera = points @ view.world_to_camera[:3, :3].T + view.world_to_camera[:3, 3]
     pixels = in_camera[..., :2] / in_camera[..., 2:] * view.fx + torch.tensor([view.cx, view.cy])
     return pixels, (normals * torch.nn.functional.normalize(view.center - points, dim=-1)).sum(-1)
@@ -36,7 +39,10 @@ def eyeballs(canonical):
     hidden = torch.zeros(len(canonical.vertices), dtype=torch.bool)
     for name in ("left_eyeball", "right_eyeball"):
         hidden[torch.from_numpy(canonical.template.masks[name]).long()] = True
-    return hidden[canonical.topology.faces.long()].all(1)[canonical.atlas.face.clamp(min=0).long()] & canonical.atlas.covered
+    return (
+        hidden[canonical.topology.faces.long()].all(1)[canonical.atlas.face.clamp(min=0).long()]
+        & canonical.atlas.covered
+    )
 
 
 def test_visible_texels_read_the_pixel_that_they_project_to():
@@ -61,14 +67,19 @@ def test_what_no_view_sees_takes_its_mirror_images_value():
     assert known.sum() > 30
     assert missing.sum() > 30
     assert texture[missing][:, 0].min() > 0.5
-    # the sphere is symmetric, so the mirrored texel's pixel is the picture mirrored, to the spacing of known texels
+    # the sphere is symmetric, so the mirrored texel's pixel is the picture mirrored, to the spacing of known
+    # texels
     mirrored = torch.stack([SIZE - pixels[..., 0], pixels[..., 1]], dim=-1)[missing] / SIZE
-    spacing = torch.from_numpy(cKDTree(pixels[known].numpy()).query(pixels[known].numpy(), k=2)[0][:, 1]).max() / SIZE
+    spacing = (
+        torch.from_numpy(cKDTree(pixels[known].numpy()).query(pixels[known].numpy(), k=2)[0][:, 1]).max()
+        / SIZE
+    )
     assert (texture[missing][:, :2] - mirrored).norm(dim=1).max() < 2 * spacing
 
 
 def test_hidden_surfaces_read_nothing_of_their_own():
-    """Eyeballs lie beneath the surface in front of them: they take the colour of what is seen, not the pixel before them."""
+    """Eyeballs lie beneath the surface in front of them: they take the colour of what is seen, not the pixel
+    before them."""
     canonical = small_canonical()
     image = torch.zeros(SIZE, SIZE, 3)
     seen = unwrap([view_of(canonical, image)], canonical)

@@ -1,0 +1,253 @@
+"""Pictures of a head by an independent ray caster: rays against a bounding volume hierarchy, nothing shared
+with the splatting.
+
+Camera rays meet the triangles; light comes from the sky, drawn by its brightness and by the surface's lobes
+together, with shadow rays and two bounces. Diffuse light is what the whole sky would give, which a table says
+exactly, times the share that the drawn directions leave of it. Every pixel draws numbers of its own, so a
+picture has the same bits for any number of threads.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+import warp as wp
+
+from samira_subject.raycaster_kernels import trace_pixels
+from samira_subject.raycaster_sampling import SkyTables
+from samira_warp.geometry.camera import Camera
+from samira_warp.geometry.mesh import vertex_normals
+from samira_warp.kernels.runtime import launch_range, warp_array
+from samira_warp.light.environment import LUMINANCE
+
+GRAIN = 64
+"""Pixels that are worth a thread."""
+
+DARK = 0.05
+"""Radiance that is added before a pixel's error is taken relative to it: in the dark, the eye and 8 bits ask
+for less."""
+
+
+@dataclass(frozen=True, eq=False)
+class Skin:
+    """What a head's surface is made of, in its UV layout; all on one device.
+
+    Attributes:
+        faces: (F, 3) int32 vertex ids.
+        corner_uv: (F, 3, 2) float32 UV coordinates of the faces' corners.
+        albedo: (S, S, 3) float32 linear diffuse reflectance.
+        finish: (S, S, 3) float32 roughness, reflectance at normal incidence, and how much the surface
+            scatters light below it.
+        rest: (V, 3) float32 vertices that the slopes of bumps belong to, metres.
+    """
+
+    faces: torch.Tensor
+    corner_uv: torch.Tensor
+    albedo: torch.Tensor
+    finish: torch.Tensor
+    rest: torch.Tensor
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How many rays a pixel gets.
+
+    Attributes:
+        samples: Camera rays of every pixel, at least 2: their spread tells the error.
+        lights: Directions drawn by the sky's brightness, for each.
+        lobes: Directions drawn from the surface's lobes, for each.
+        more: Camera rays that a pixel gets on top in each round that finds it too noisy, and once where an
+            outline crosses it.
+        rounds: How often that is looked into.
+        tolerance: Standard error, relative to the radiance, above which a pixel is too noisy.
+    """
+
+    samples: int = 4
+    lights: int = 2
+    lobes: int = 2
+    more: int = 8
+    rounds: int = 4
+    tolerance: float = 0.09
+
+
+class Picture(NamedTuple):
+    """A head before nothing.
+
+    Attributes:
+        radiance: (H, W, 3) float32 linear, the mean over what a pixel holds of the head; 0 where that is
+            nothing.
+        albedo: (H, W, 3) float32 linear diffuse reflectance, likewise.
+        normal: (H, W, 3) float32 unit shading normals in world space, 0 where there is no head.
+        coverage: (H, W) float32 share of the pixel.
+        error: (H, W) float32 standard error of the radiance's luminance.
+    """
+
+    radiance: torch.Tensor
+    albedo: torch.Tensor
+    normal: torch.Tensor
+    coverage: torch.Tensor
+    error: torch.Tensor
+
+
+class PosedSkin:
+    """A head in one pose, ready for rays."""
+
+    def __init__(self, skin: Skin, vertices: torch.Tensor, slopes: torch.Tensor) -> None:
+        """Build the hierarchy.
+
+        Args:
+            skin: The surface.
+            vertices: (V, 3) float32 in the world, metres.
+            slopes: (S, S, 3) float32 gradient of the bumps' height over the rest head.
+        """
+        self._skin = skin
+        self._points = vertices.contiguous()
+        self._normals = vertex_normals(self._points, skin.faces)
+        self._turns = _turns(skin.rest, self._points, skin.faces)
+        self._slopes = slopes.contiguous()
+        # the mesh does not hold on to the tensors that it looks at
+        self._mesh = wp.Mesh(
+            points=warp_array(self._points, wp.vec3), indices=warp_array(skin.faces.flatten().contiguous())
+        )
+
+    @torch.no_grad()
+    def render(self, camera: Camera, sky: SkyTables, *, effort: Effort, seed: int) -> Picture:
+        """Take a picture.
+
+        Args:
+            camera: The view.
+            sky: The light, exposed.
+            effort: How many rays.
+            seed: Seed of every number drawn.
+        """
+        device, size = self._points.device, camera.width * camera.height
+        sums = _Sums(
+            *torch.zeros(len(_Sums._fields) - 1, size, 3, device=device),
+            torch.zeros(size, dtype=torch.int32, device=device),
+        )
+        skin = self._skin
+        head = (int(self._mesh.id), skin.faces, self._points, self._normals, self._turns)
+        maps = (skin.corner_uv, skin.albedo, skin.finish, self._slopes)
+        view = _view(camera)
+
+        def add(pixels: torch.Tensor, begin: int, samples: int) -> None:
+            numbers = (begin, samples, effort.lights, effort.lobes, seed)
+            launch_range(
+                trace_pixels, len(pixels), pixels, *head, *maps, *sky, *view, *numbers, *sums, grain=GRAIN
+            )
+
+        everywhere = torch.arange(size, dtype=torch.int32, device=device)
+        add(everywhere, 0, effort.samples)
+        counts = torch.full((size,), float(effort.samples), device=device)
+        is_hard = (sums.hits > 0) & (sums.hits < effort.samples) | sums.noisier_than(effort.tolerance, camera)
+        for number in range(effort.rounds):
+            add(everywhere[is_hard], effort.samples + number * effort.more, effort.more)
+            counts = counts + effort.more * is_hard
+            is_hard = is_hard & sums.noisier_than(effort.tolerance, camera)
+        return sums.picture(counts, camera)
+
+
+def _view(camera: Camera) -> tuple[object, ...]:
+    """A camera as the kernels take it."""
+    rotation = camera.world_to_camera[:3, :3].T.flatten().tolist()
+    return (
+        wp.mat33(*rotation),
+        wp.vec3(*camera.center.tolist()),
+        wp.vec2(camera.fx, camera.fy),
+        wp.vec2(camera.cx, camera.cy),
+        camera.width,
+    )
+
+
+class _Sums(NamedTuple):
+    """Sums over the camera samples of each pixel that met the head, as `trace_pixels` adds them.
+
+    Attributes:
+        open: (P, 3) diffuse light as it were without shadows, exact for each sample.
+        drawn: (P, 3) estimates of it.
+        seen: (P, 3) what of the estimates comes from where the surface sees the sky.
+        rest: (P, 3) all other light.
+        products: (P, 3) squares and product of the luminance of ``seen + rest`` and of ``drawn - open``.
+        albedo: (P, 3) diffuse reflectance.
+        normal: (P, 3) shading normals.
+        hits: (P,) int32 number of the samples.
+    """
+
+    open: torch.Tensor
+    drawn: torch.Tensor
+    seen: torch.Tensor
+    rest: torch.Tensor
+    products: torch.Tensor
+    albedo: torch.Tensor
+    normal: torch.Tensor
+    hits: torch.Tensor
+
+    def light(self) -> torch.Tensor:
+        """(P, 3) mean radiance: diffuse light is the exact one without shadows times the share that shadow
+        rays leave of it.
+
+        Where no shadow falls nothing is left to chance (Heitz, Hill and McGuire, Combining Analytic Direct
+        Illumination and Stochastic Shadows, 2018).
+        """
+        return (self.open * self._lit() + self.rest) / self._each()
+
+    def error(self) -> torch.Tensor:
+        """(P,) standard error of the luminance, the ratio linearised; samples that are stratified do better
+        than it says.
+        """
+        each = self._each()[:, 0]
+        lit = _luminance(self.seen) / _luminance(self.drawn).clamp(min=1e-12)
+        found, excess = _luminance(self.seen + self.rest), _luminance(self.drawn - self.open)
+        squares, mixed, excesses = self.products.unbind(dim=1)
+        squared = squares - 2.0 * lit * mixed + lit**2 * excesses
+        variance = (squared / each - ((found - lit * excess) / each) ** 2).clamp(min=0.0)
+        return (variance / (self.hits - 1).clamp(min=1)).sqrt()
+
+    def noisier_than(self, tolerance: float, camera: Camera) -> torch.Tensor:
+        """(P,) bool: whether the error is above a share of the radiance, to which what no eye sees in the
+        dark is added.
+
+        The error is a pixel's own or, where that is larger, that of it and its neighbours together: a few
+        samples that all missed a lamp do not know that they did.
+        """
+        is_head = (self.hits > 0).float()
+        squares = torch.stack([is_head * self.error() ** 2, is_head]).view(2, camera.height, camera.width)
+        error, count = torch.nn.functional.avg_pool2d(squares, 3, stride=1, padding=1).flatten(1)
+        error = torch.maximum((error / count.clamp(min=1e-6)).sqrt(), self.error()) * is_head
+        return error > tolerance * (_luminance(self.light()) + DARK)
+
+    def picture(self, counts: torch.Tensor, camera: Camera) -> Picture:
+        """The picture, from the number of samples (P,) that each pixel was given."""
+        shape, each = (camera.height, camera.width), self._each()
+        return Picture(
+            radiance=self.light().view(*shape, 3),
+            albedo=(self.albedo / each).view(*shape, 3),
+            normal=torch.nn.functional.normalize(self.normal, dim=1).view(*shape, 3),
+            coverage=(self.hits / counts).view(shape),
+            error=self.error().view(shape),
+        )
+
+    def _each(self) -> torch.Tensor:
+        return self.hits.clamp(min=1)[:, None]
+
+    def _lit(self) -> torch.Tensor:
+        """(P, 3) share of the sky's light that no part of the head keeps off."""
+        return torch.where(self.drawn > 0.0, self.seen / self.drawn, 0.0)
+
+
+def _luminance(light: torch.Tensor) -> torch.Tensor:
+    return (light * light.new_tensor(LUMINANCE)).sum(dim=1)
+
+
+def _turns(rest: torch.Tensor, posed: torch.Tensor, faces: torch.Tensor) -> torch.Tensor:
+    """(F, 3, 3) rotations of the faces' frames from the rest head to the posed one."""
+    return _frames(posed, faces) @ _frames(rest, faces).transpose(1, 2)
+
+
+def _frames(vertices: torch.Tensor, faces: torch.Tensor) -> torch.Tensor:
+    a, b, c = vertices[faces.long()].unbind(dim=1)
+    edge = torch.nn.functional.normalize(b - a, dim=1)
+    normal = torch.nn.functional.normalize(torch.linalg.cross(b - a, c - a), dim=1)
+    return torch.stack([edge, normal, torch.linalg.cross(edge, normal)], dim=2)

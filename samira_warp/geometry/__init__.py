@@ -1,0 +1,1 @@
+"""Cameras, rotations and meshes in plain torch; nothing in here knows what a face is."""

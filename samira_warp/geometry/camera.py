@@ -1,0 +1,81 @@
+"""The pinhole camera."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+
+from samira_warp.support.caching import cached_tensors
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera with OpenCV axes (x right, y down, z forward); pixel centres lie at +0.5.
+
+    Attributes:
+        world_to_camera: (4, 4) float32 rigid transform, metres.
+        fx: Focal length in pixels along x.
+        fy: Focal length in pixels along y.
+        cx: Principal point in pixels from the left edge.
+        cy: Principal point in pixels from the top edge.
+        width: W, pixels.
+        height: H, pixels.
+    """
+
+    world_to_camera: torch.Tensor
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    width: int
+    height: int
+
+    def resized(self, *, width: int, height: int) -> Camera:
+        """The same view on a grid of another size."""
+        sx, sy = width / self.width, height / self.height
+        return replace(
+            self,
+            fx=self.fx * sx,
+            fy=self.fy * sy,
+            cx=self.cx * sx,
+            cy=self.cy * sy,
+            width=width,
+            height=height,
+        )
+
+    def to(self, device: torch.device | str) -> Camera:
+        """The same camera with its transform on ``device``."""
+        return replace(self, world_to_camera=self.world_to_camera.to(device))
+
+    @property
+    def center(self) -> torch.Tensor:
+        """(3,) camera centre in world space, metres."""
+        rotation, translation = self.world_to_camera[:3, :3], self.world_to_camera[:3, 3]
+        return -rotation.T @ translation
+
+    def ray_directions(self) -> torch.Tensor:
+        """(H, W, 3) unit directions in world space from the camera through each pixel centre."""
+        transform = self.world_to_camera
+        rays = _unit_rays(
+            self.fx, self.fy, self.cx, self.cy, self.width, self.height, transform.dtype, transform.device
+        )
+        return rays @ transform[:3, :3]
+
+
+@cached_tensors(maxsize=4)
+def _unit_rays(
+    fx: float,
+    fy: float,
+    cx: float,
+    cy: float,
+    width: int,
+    height: int,
+    dtype: torch.dtype,
+    device: torch.device,
+) -> torch.Tensor:
+    """(H, W, 3) unit directions in camera space: the same for every view of a sequence."""
+    x = (torch.arange(width, dtype=dtype, device=device) + 0.5 - cx) / fx
+    y = (torch.arange(height, dtype=dtype, device=device) + 0.5 - cy) / fy
+    y, x = torch.meshgrid(y, x, indexing="ij")
+    return torch.nn.functional.normalize(torch.stack([x, y, torch.ones_like(x)], dim=-1), dim=-1)

@@ -1,0 +1,134 @@
+"""Writing files and folders so that what was there stays whole until what replaces it is."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import save_file
+
+from samira_warp.support.errors import UserError
+
+
+def cache_folder() -> Path:
+    """Where this project keeps what it can make again: ``SAMIRA_WARP_CACHE``, else its own folder among the
+    user's caches.
+
+    Nothing is made on disk.
+
+    Raises:
+        UserError: Neither the environment nor the system knows of a folder for it.
+    """
+    chosen = os.environ.get("SAMIRA_WARP_CACHE")
+    if chosen:
+        return Path(chosen)
+    try:
+        return _users_caches() / "samira_warp"
+    except RuntimeError as error:  # of Path.home()
+        raise UserError(
+            "SAMIRA_WARP_CACHE", expected="a folder to keep the built-in subject in", found="no home folder"
+        ) from error
+
+
+def _users_caches() -> Path:
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local")
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches"
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+
+
+def replace_folder(target: Path, write: Callable[[Path], None]) -> None:
+    """Let ``write`` fill a new folder and put it in the place of ``target``.
+
+    The new folder is written beside the target under a hidden name, flushed to the disk and renamed. Whatever
+    happens before the rename (a full disk, an interrupt) leaves the target as it was, and removes what was
+    written. What a killed process left is removed as well.
+    """
+    target.parent.mkdir(parents=True, exist_ok=True)
+    fresh, stale = (target.parent / f".{target.name}.{word}" for word in ("new", "old"))
+    try:
+        if stale.exists() and not target.exists():
+            stale.rename(target)
+        for folder in (fresh, stale):
+            shutil.rmtree(folder, ignore_errors=True)
+        fresh.mkdir()
+        write(fresh)
+        for path in sorted(fresh.rglob("*")):
+            if path.is_file():
+                _flush(path)
+        _flush(fresh)
+        if target.exists():
+            target.rename(stale)
+        fresh.rename(target)
+        _flush(target.parent)
+    finally:
+        if stale.exists() and not target.exists():
+            stale.rename(target)
+        for folder in (fresh, stale):
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+def replace_file(target: Path, text: str) -> None:
+    """Write a text file under a hidden name, flush it and rename it to ``target``."""
+    fresh = target.parent / f".{target.name}.new"
+    try:
+        fresh.write_text(text, encoding="utf-8")
+        _flush(fresh)
+        fresh.replace(target)
+    finally:
+        fresh.unlink(missing_ok=True)
+
+
+def save_tensors(
+    tensors: dict[str, torch.Tensor], path: Path, *, metadata: dict[str, str] | None = None
+) -> None:
+    """Write tensors by name as a safetensors file.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+    try:
+        save_file(
+            {name: value.detach().contiguous() for name, value in tensors.items()}, path, metadata=metadata
+        )
+    except SafetensorError as error:
+        raise OSError(f"{path}: cannot be written: {error}") from error
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Read a JSON object.
+
+    Raises:
+        UserError: The file is missing or holds something else.
+    """
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise UserError(path, expected="a JSON file", found="no such file") from error
+    except (OSError, ValueError) as error:
+        raise UserError(path, expected="a JSON file", found=error) from error
+    if not isinstance(content, dict):
+        raise UserError(path, expected="a JSON object", found=type(content).__name__)
+    return content
+
+
+def _flush(path: Path) -> None:
+    """Have the disk hold a file, or the names in a folder; Windows opens no folders, and flushes only what is
+    open for writing.
+    """
+    on_windows = sys.platform == "win32"
+    if on_windows and path.is_dir():
+        return
+    descriptor = os.open(path, os.O_RDWR if on_windows else os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -1,0 +1,1 @@
+"""Cubemaps: layout, filters, and lookups, each with its adjoint."""

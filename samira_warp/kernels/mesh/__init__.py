@@ -1,0 +1,1 @@
+"""Triangle meshes: frames of faces, what is bound to them, and their UV layout."""

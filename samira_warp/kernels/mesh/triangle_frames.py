@@ -1,0 +1,224 @@
+"""A rotation, a centre and a scale for every triangle of a mesh, as GaussianAvatars defines them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import torch
+import warp as wp
+from torch.autograd.function import once_differentiable
+
+from samira_warp.kernels.gathering.grouping import Groups, group_by
+from samira_warp.kernels.runtime import launch_range
+from samira_warp.support.constants import DEGENERATE_TRIANGLE
+from samira_warp.support.errors import UserError
+from samira_warp.support.validation import check_tensor
+
+_GRAIN = 2048
+"""Fewer triangles or vertices than this cost less than handing them to a thread."""
+
+
+class TriangleFrames(NamedTuple):
+    """The frames r, t and k of Eq. lbs.
+
+    Attributes:
+        rotation: (F, 3, 3) r, with columns (first edge's direction, face normal, third axis).
+        translation: (F, 3) t, the centroid, in the vertices' unit.
+        scale: (F,) k, half the sum of the first edge's length and the height over it, in the vertices' unit.
+    """
+
+    rotation: torch.Tensor
+    translation: torch.Tensor
+    scale: torch.Tensor
+
+
+@dataclass(frozen=True, eq=False)
+class MeshTopology:
+    """The triangles of a mesh, and the corners that meet in each vertex.
+
+    Attributes:
+        faces: (F, 3) int32 vertex ids.
+        vertex_count: V.
+        corners: For each vertex its corners, numbered 3 * face + corner.
+    """
+
+    faces: torch.Tensor
+    vertex_count: int
+    corners: Groups
+
+    @classmethod
+    def build(cls, faces: torch.Tensor, vertex_count: int) -> MeshTopology:
+        """List the corners of every vertex.
+
+        Args:
+            faces: (F, 3) integers from 0 to ``vertex_count`` - 1.
+            vertex_count: V.
+
+        Raises:
+            UserError: ``faces`` has another shape, or an index is out of range.
+        """
+        check_tensor("faces", faces, shape=("F", 3), dtype=None)
+        if faces.numel() and not 0 <= int(faces.min()) <= int(faces.max()) < vertex_count:
+            raise UserError(
+                "faces",
+                expected=f"vertex ids 0 to {vertex_count - 1}",
+                found=f"{int(faces.min())} to {int(faces.max())}",
+            )
+        faces = faces.to(torch.int32).contiguous()
+        return cls(faces, vertex_count, group_by(faces.flatten(), vertex_count))
+
+    def to(self, device: torch.device | str) -> MeshTopology:
+        """The same topology on ``device``."""
+        return MeshTopology(self.faces.to(device), self.vertex_count, self.corners.to(device))
+
+
+def triangle_frames(vertices: torch.Tensor, topology: MeshTopology) -> TriangleFrames:
+    """Compute every triangle's frame, differentiably in ``vertices``.
+
+    With a, b, c the corners: the first column is unit(b - a), the second the unit normal of (a, b, c), the
+    third their cross product, so that r is a rotation; k is (|b - a| + height of c over ab) / 2. A degenerate
+    triangle (no length, or no height to speak of) has r = identity, and its r and k are constants; its
+    centroid is not.
+
+    Args:
+        vertices: (V, 3) float32.
+        topology: The mesh, on the same device.
+
+    Returns:
+        The frames of all F triangles.
+
+    Raises:
+        UserError: ``vertices`` has another shape, dtype or device than the topology needs.
+    """
+    check_tensor("vertices", vertices, shape=(topology.vertex_count, 3), device=topology.faces.device)
+    return TriangleFrames(*_TriangleFrames.apply(vertices, topology))
+
+
+class _TriangleFrames(torch.autograd.Function):
+    @staticmethod
+    def forward(
+        ctx: Any, vertices: torch.Tensor, topology: MeshTopology
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        vertices = vertices.contiguous()
+        ctx.save_for_backward(vertices)
+        ctx.topology = topology
+        count = topology.faces.shape[0]
+        rotation, translation, scale = (
+            vertices.new_empty(count, 3, 3),
+            vertices.new_empty(count, 3),
+            vertices.new_empty(count),
+        )
+        launch_range(
+            _triangle_frames, count, vertices, topology.faces, rotation, translation, scale, grain=_GRAIN
+        )
+        return rotation, translation, scale
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *grads: torch.Tensor) -> tuple[torch.Tensor, None]:
+        (vertices,) = ctx.saved_tensors
+        topology: MeshTopology = ctx.topology
+        count = topology.faces.shape[0]
+        grad_corners = vertices.new_empty(count * 3, 3)
+        grads = tuple(grad.contiguous() for grad in grads)
+        launch_range(
+            _triangle_frames_adjoint, count, vertices, topology.faces, *grads, grad_corners, grain=_GRAIN
+        )
+        grad_vertices = torch.empty_like(vertices)
+        launch_range(
+            _sum_corners, topology.vertex_count, *topology.corners, grad_corners, grad_vertices, grain=_GRAIN
+        )
+        return grad_vertices, None
+
+
+@wp.func
+def _is_degenerate(length: wp.float32, height: wp.float32, side: wp.float32) -> wp.bool:
+    return not (length > 0.0 and height > DEGENERATE_TRIANGLE * wp.max(length, side))
+
+
+@wp.kernel(enable_backward=False)
+def _triangle_frames(
+    first: wp.int32,
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array2d(dtype=wp.int32),
+    rotation: wp.array(dtype=wp.mat33),
+    translation: wp.array(dtype=wp.vec3),
+    scale: wp.array(dtype=wp.float32),
+) -> None:
+    """One triangle."""
+    face = first + wp.tid()
+    a = vertices[faces[face, 0]]
+    b = vertices[faces[face, 1]]
+    c = vertices[faces[face, 2]]
+    edge = b - a
+    side = c - a
+    length = wp.length(edge)
+    edge_direction = wp.normalize(edge)
+    perpendicular = wp.cross(edge_direction, side)
+    height = wp.length(perpendicular)
+    translation[face] = (a + b + c) / 3.0
+    scale[face] = 0.5 * (length + height)
+    if _is_degenerate(length, height, wp.length(side)):
+        rotation[face] = wp.identity(n=3, dtype=wp.float32)
+    else:
+        normal = perpendicular / height
+        rotation[face] = wp.matrix_from_cols(edge_direction, normal, wp.cross(edge_direction, normal))
+
+
+@wp.kernel(enable_backward=False)
+def _triangle_frames_adjoint(
+    first: wp.int32,
+    vertices: wp.array(dtype=wp.vec3),
+    faces: wp.array2d(dtype=wp.int32),
+    grad_rotation: wp.array(dtype=wp.mat33),
+    grad_translation: wp.array(dtype=wp.vec3),
+    grad_scale: wp.array(dtype=wp.float32),
+    grad_corners: wp.array(dtype=wp.vec3),
+) -> None:
+    """One triangle's gradients, to its own three corners."""
+    face = first + wp.tid()
+    a = vertices[faces[face, 0]]
+    edge = vertices[faces[face, 1]] - a
+    side = vertices[faces[face, 2]] - a
+    length = wp.length(edge)
+    edge_direction = wp.normalize(edge)
+    perpendicular = wp.cross(edge_direction, side)
+    height = wp.length(perpendicular)
+
+    grad_edge = wp.vec3(0.0)
+    grad_side = wp.vec3(0.0)
+    if not _is_degenerate(length, height, wp.length(side)):
+        normal = perpendicular / height
+        columns = wp.transpose(grad_rotation[face])
+        half_grad_scale = 0.5 * grad_scale[face]
+        grad_direction = columns[0] + wp.cross(normal, columns[2])
+        grad_normal = columns[1] + wp.cross(columns[2], edge_direction)
+        grad_perpendicular = (
+            grad_normal - normal * wp.dot(normal, grad_normal)
+        ) / height + normal * half_grad_scale
+        grad_direction += wp.cross(side, grad_perpendicular)
+        grad_side = wp.cross(grad_perpendicular, edge_direction)
+        along = wp.dot(edge_direction, grad_direction)
+        grad_edge = (grad_direction - edge_direction * along) / length + edge_direction * half_grad_scale
+
+    grad_centroid = grad_translation[face] / 3.0
+    grad_corners[3 * face] = grad_centroid - grad_edge - grad_side
+    grad_corners[3 * face + 1] = grad_centroid + grad_edge
+    grad_corners[3 * face + 2] = grad_centroid + grad_side
+
+
+@wp.kernel(enable_backward=False)
+def _sum_corners(
+    first: wp.int32,
+    offsets: wp.array(dtype=wp.int32),
+    corners: wp.array(dtype=wp.int32),
+    grad_corners: wp.array(dtype=wp.vec3),
+    grad_vertices: wp.array(dtype=wp.vec3),
+) -> None:
+    """One vertex: the sum over the corners that meet in it."""
+    vertex = first + wp.tid()
+    total = wp.vec3(0.0)
+    for entry in range(offsets[vertex], offsets[vertex + 1]):
+        total += grad_corners[corners[entry]]
+    grad_vertices[vertex] = total

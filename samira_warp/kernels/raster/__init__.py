@@ -1,0 +1,1 @@
+"""Rasterising 3D Gaussians: projection, binning, blending, and their adjoints."""

@@ -1,0 +1,1 @@
+"""Deferred shading of a G-buffer, with its adjoint."""

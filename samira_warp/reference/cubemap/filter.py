@@ -1,0 +1,57 @@
+"""Irradiance and GGX prefiltering as brute-force sums over all pairs of texels: the specification of
+`kernels.cubemap_filter`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+
+from samira_warp.kernels.cubemap.layout import texel_directions, texel_solid_angles
+
+
+def irradiance(radiance: torch.Tensor, *, size: int = 16) -> torch.Tensor:
+    """See `kernels.cubemap_filter.irradiance`; any floating dtype."""
+    weights = _cosines(radiance, size).clamp(min=0) * _areas(radiance)
+    return _apply(weights / torch.pi, radiance, size)
+
+
+def prefilter(base: torch.Tensor, *, ladder: Sequence[tuple[float, int]]) -> tuple[torch.Tensor, ...]:
+    """See `kernels.cubemap_filter.prefilter`; any floating dtype."""
+    mips = [base]
+    for roughness, size in ladder:
+        weights = lobe_weights(base, roughness, size)
+        mips.append(_apply(weights / weights.sum(dim=1, keepdim=True), base, size))
+    return tuple(mips)
+
+
+def lobe_weights(base: torch.Tensor, roughness: float, size: int) -> torch.Tensor:
+    """(6 size^2, B) weights D_GGX(n . h) max(n . l, 0) dOmega, before normalisation, of all texels of
+    ``base`` for all of the result.
+
+    Their sums approach the integral over the sphere: with h half-way between n and l, dOmega_l = 4 (n . h)
+    dOmega_h.
+    """
+    cosines = _cosines(base, size)
+    alpha = roughness * roughness
+    normal_half_squared = (1 + cosines) / 2
+    distribution = alpha**2 / (torch.pi * (normal_half_squared * (alpha**2 - 1) + 1) ** 2)
+    return distribution * cosines.clamp(min=0) * _areas(base)
+
+
+def _cosines(base: torch.Tensor, size: int) -> torch.Tensor:
+    options = {"dtype": base.dtype, "device": base.device}
+    return (
+        texel_directions(size, **options).view(-1, 3)
+        @ texel_directions(base.shape[1], **options).view(-1, 3).T
+    )
+
+
+def _areas(base: torch.Tensor) -> torch.Tensor:
+    size = base.shape[1]
+    return texel_solid_angles(size, dtype=base.dtype, device=base.device).expand(6, size, size).reshape(-1)
+
+
+def _apply(weights: torch.Tensor, base: torch.Tensor, size: int) -> torch.Tensor:
+    return (weights @ base.reshape(-1, base.shape[-1])).view(6, size, size, -1)

@@ -1,0 +1,44 @@
+"""The frames of `samira_warp.kernels.mesh.triangle_frames` in plain torch."""
+
+from __future__ import annotations
+
+import torch
+
+from samira_warp.kernels.mesh.triangle_frames import MeshTopology, TriangleFrames
+from samira_warp.support.constants import DEGENERATE_TRIANGLE
+
+
+def triangle_frames(vertices: torch.Tensor, topology: MeshTopology) -> TriangleFrames:
+    """Frame r, t, k of every triangle, (V, 3) to F of each; constants r = 1 and k where a triangle is
+    degenerate.
+    """
+    a, b, c = vertices[topology.faces.long()].unbind(dim=1)
+    edge, side = b - a, c - a
+    degenerate = _is_degenerate(edge.detach(), side.detach())
+    edge = torch.where(degenerate[:, None], edge.new_tensor([1.0, 0.0, 0.0]), edge)
+    side = torch.where(degenerate[:, None], side.new_tensor([0.0, 0.0, -1.0]), side)
+
+    length = edge.norm(dim=1)
+    direction = edge / length[:, None]
+    perpendicular = torch.linalg.cross(direction, side)
+    height = perpendicular.norm(dim=1)
+    normal = perpendicular / height[:, None]
+    rotation = torch.stack([direction, normal, torch.linalg.cross(direction, normal)], dim=2)
+
+    true_scale = _scale((b - a).detach(), (c - a).detach())
+    scale = torch.where(degenerate, true_scale, (length + height) / 2)
+    return TriangleFrames(rotation, (a + b + c) / 3, scale)
+
+
+def _height(edge: torch.Tensor, side: torch.Tensor) -> torch.Tensor:
+    return torch.linalg.cross(torch.nn.functional.normalize(edge, dim=1, eps=1e-30), side).norm(dim=1)
+
+
+def _scale(edge: torch.Tensor, side: torch.Tensor) -> torch.Tensor:
+    return (edge.norm(dim=1) + _height(edge, side)) / 2
+
+
+def _is_degenerate(edge: torch.Tensor, side: torch.Tensor) -> torch.Tensor:
+    length = edge.norm(dim=1)
+    longest = torch.maximum(length, side.norm(dim=1))
+    return ~((length > 0) & (_height(edge, side) > DEGENERATE_TRIANGLE * longest))

@@ -1,0 +1,40 @@
+"""The rasteriser in plain torch, every pixel against every Gaussian: the specification of
+`samira_warp.kernels.raster.rasterizer`.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from samira_warp.geometry.camera import Camera
+from samira_warp.kernels.raster.rasterizer import Rasterized
+from samira_warp.reference.raster.blending import blend
+from samira_warp.reference.raster.projection import project
+
+
+def rasterize(
+    means: Tensor, quaternions: Tensor, scales: Tensor, opacities: Tensor, features: Tensor, camera: Camera
+) -> Rasterized:
+    """As `samira_warp.kernels.raster.rasterizer.rasterize`, in the dtype of ``means``; finite inputs only;
+    O(N H W) memory.
+    """
+    projection = project(means, quaternions, scales, opacities, camera)
+    order = torch.argsort(projection.depths, stable=True)
+    order = order[projection.visible[order]]
+    blended = blend(
+        projection.means2d,
+        projection.conics,
+        opacities,
+        features,
+        order,
+        width=camera.width,
+        height=camera.height,
+    )
+    return Rasterized(
+        blended.features,
+        1.0 - blended.transmittance,
+        projection.means2d,
+        projection.visible,
+        projection.depths,
+    )

@@ -1,0 +1,52 @@
+"""Tile bins in plain torch, every Gaussian against every tile: the specification of
+`samira_warp.kernels.raster.tiles`.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from samira_warp.kernels.raster.projection import Projection
+from samira_warp.kernels.raster.tiles import TILE, TileBins
+from samira_warp.reference.raster.projection import least_sigma
+from samira_warp.support.constants import ALPHA_MIN
+
+
+def bin_tiles(projection: Projection, opacities: Tensor, *, width: int, height: int) -> TileBins:
+    """As `samira_warp.kernels.raster.tiles.bin_tiles` without a capacity; O(N T) memory."""
+    columns, rows = -(-width // TILE), -(-height // TILE)
+    row, column = torch.meshgrid(torch.arange(rows), torch.arange(columns), indexing="ij")
+    left, top = TILE * column.flatten(), TILE * row.flatten()
+    edges = [
+        left + 0.5,
+        top + 0.5,
+        (left + TILE).clamp(max=width) - 0.5,
+        (top + TILE).clamp(max=height) - 0.5,
+    ]
+    rectangles = torch.stack(edges, dim=-1).to(projection.means2d)
+
+    depths = torch.where(projection.visible, projection.depths, torch.inf)
+    order = torch.argsort(depths, stable=True)
+    least = least_sigma(projection.means2d[order, None], projection.conics[order, None], rectangles[None])
+    touched = projection.visible[order, None] & (least <= torch.log(opacities / ALPHA_MIN)[order, None])
+
+    ranks, tiles = touched.nonzero(as_tuple=True)
+    slots = torch.argsort(tiles, stable=True)
+    offsets = torch.searchsorted(
+        tiles[slots], torch.arange(columns * rows + 1, device=tiles.device), out_int32=True
+    )
+    slot_offsets = torch.cat([touched.new_zeros(1, dtype=torch.long), touched.sum(dim=1).cumsum(dim=0)])
+    listed = touched.any(dim=1)[torch.argsort(order)]
+    record_offsets = torch.cat([touched.new_zeros(1, dtype=torch.long), listed.cumsum(dim=0)])
+    records = record_offsets[order[ranks][slots]]
+    return TileBins(
+        offsets,
+        records.int(),
+        slots.int(),
+        order.int(),
+        slot_offsets.int(),
+        record_offsets.int(),
+        columns,
+        rows,
+    )

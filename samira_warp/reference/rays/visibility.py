@@ -1,0 +1,33 @@
+"""The visibility of `samira_warp.kernels.rays.visibility` in plain torch: every ray against every triangle
+(Moeller and Trumbore).
+"""
+
+from __future__ import annotations
+
+import torch
+
+
+def visible(
+    points: torch.Tensor,
+    *,
+    vertices: torch.Tensor,
+    faces: torch.Tensor,
+    origin: torch.Tensor,
+    offset: float = 1e-4,
+) -> torch.Tensor:
+    """(M,) bool: no triangle meets the segment from ``origin`` to within ``offset`` of each of the ``points``
+    (M, 3).
+    """
+    ray = (points - origin)[:, None]
+    distance = ray.norm(dim=-1)
+    ray = ray / distance[..., None].clamp(min=1e-30)
+    a, b, c = vertices[faces.long()].unbind(dim=1)
+    across = torch.linalg.cross(ray, (c - a)[None])
+    determinant = ((b - a) * across).sum(dim=-1)
+    inverse = 1 / torch.where(determinant == 0, torch.nan, determinant)
+    u = ((origin - a) * across).sum(dim=-1) * inverse
+    other = torch.linalg.cross(origin - a, b - a)
+    v = (ray * other).sum(dim=-1) * inverse
+    depth = ((c - a) * other).sum(dim=-1) * inverse
+    hit = (u >= 0) & (v >= 0) & (u + v <= 1) & (depth > 0) & (depth < distance - offset)
+    return ~hit.any(dim=1)

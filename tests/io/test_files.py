@@ -1,0 +1,125 @@
+import os
+import pwd
+import sys
+
+import pytest
+import torch
+from safetensors.torch import load_file
+
+from samira_warp import UserError
+from samira_warp.io.files import cache_folder, read_json, replace_file, replace_folder, save_tensors
+
+
+def write_one(text):
+    return lambda folder: (folder / "one").write_text(text)
+
+
+def fail_after_writing(error):
+    def write(folder):
+        (folder / "one").write_text("half")
+        raise error
+
+    return write
+
+
+def test_a_new_folder_takes_the_place_of_the_old(tmp_path):
+    target = tmp_path / "deep" / "folder"
+    replace_folder(target, write_one("first"))
+    (target / "other").write_text("goes with the old one")
+    replace_folder(target, write_one("second"))
+    assert {path.name: path.read_text() for path in target.iterdir()} == {"one": "second"}
+    assert [path.name for path in target.parent.iterdir()] == ["folder"]
+
+
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), KeyboardInterrupt()])
+def test_what_fails_leaves_the_old_one_and_nothing_else(tmp_path, error):
+    target = tmp_path / "folder"
+    replace_folder(target, write_one("first"))
+    with pytest.raises(type(error)):
+        replace_folder(target, fail_after_writing(error))
+    assert (target / "one").read_text() == "first"
+    with pytest.raises(type(error)):
+        replace_folder(tmp_path / "another", fail_after_writing(error))
+    assert [path.name for path in tmp_path.iterdir()] == ["folder"]
+
+
+def test_what_a_killed_process_left_is_cleared_away(tmp_path):
+    target = tmp_path / "folder"
+    for name in (".folder.new", ".folder.old"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "one").write_text(name)
+    # killed between the two renames: the old one is what there was
+    with pytest.raises(OSError, match="full"):
+        replace_folder(target, fail_after_writing(OSError("full")))
+    assert (target / "one").read_text() == ".folder.old"
+    replace_folder(target, write_one("fresh"))
+    assert (target / "one").read_text() == "fresh"
+    assert [path.name for path in tmp_path.iterdir()] == ["folder"]
+
+
+def test_a_file_is_replaced_whole(tmp_path):
+    replace_file(tmp_path / "a.json", "{}")
+    replace_file(tmp_path / "a.json", '{"b": 1}')
+    assert read_json(tmp_path / "a.json") == {"b": 1}
+    assert [path.name for path in tmp_path.iterdir()] == ["a.json"]
+
+
+@pytest.mark.parametrize(
+    ("text", "found"), [(None, "no such file"), ("{", "Expecting"), ("[1]", "list"), ("\udcff", None)]
+)
+def test_what_is_no_json_object_is_named(tmp_path, text, found):
+    path = tmp_path / "a.json"
+    if text is not None:
+        path.write_bytes(text.encode("utf-8", "surrogateescape"))
+    with pytest.raises(UserError, match=r"a\.json") as caught:
+        read_json(path)
+    assert found is None or found in str(caught.value)
+
+
+def test_tensors_come_back_and_a_file_that_cannot_be_written_is_named(tmp_path):
+    values = {"a": torch.rand(3, 4).T.requires_grad_(), "b": torch.arange(3)}
+    save_tensors(values, tmp_path / "t.safetensors", metadata={"name": "x"})
+    found = load_file(tmp_path / "t.safetensors")
+    assert all(torch.equal(found[name], value) for name, value in values.items())
+    with pytest.raises(OSError, match=r"nowhere.*t\.safetensors"):
+        save_tensors(values, tmp_path / "nowhere" / "t.safetensors")
+
+
+def test_a_user_without_a_home_is_told_how_to_name_a_folder(monkeypatch):
+    for name in ("SAMIRA_WARP_CACHE", "XDG_CACHE_HOME", "HOME"):
+        monkeypatch.delenv(name, raising=False)
+
+    def unknown(user):
+        raise KeyError(user)
+
+    monkeypatch.setattr(pwd, "getpwuid", unknown)
+    with pytest.raises(UserError, match=r"SAMIRA_WARP_CACHE: expected a folder .* found no home folder"):
+        cache_folder()
+
+
+def test_folders_are_replaced_on_windows(tmp_path, monkeypatch):
+    """Windows opens no folder, and flushes no file that is open for reading alone."""
+    flushed, kept = [], {}
+    open_here = os.open
+
+    def open_there(path, flags, *rest):
+        if os.path.isdir(path):
+            raise PermissionError(13, "Permission denied", str(path))
+        descriptor = open_here(path, flags, *rest)
+        kept[descriptor] = os.fspath(path), flags
+        return descriptor
+
+    def flush_there(descriptor):
+        path, flags = kept[descriptor]
+        assert flags & os.O_RDWR
+        flushed.append(os.path.basename(path))
+
+    monkeypatch.setattr(sys, "platform", "win32")
+    monkeypatch.setattr(os, "open", open_there)
+    monkeypatch.setattr(os, "fsync", flush_there)
+    replace_folder(tmp_path / "folder", write_one("first"))
+    replace_file(tmp_path / "a.json", "{}")
+    monkeypatch.undo()
+    assert flushed == ["one", ".a.json.new"]
+    assert (tmp_path / "folder" / "one").read_text() == "first"
+    assert read_json(tmp_path / "a.json") == {}
