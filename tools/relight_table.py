@@ -31,6 +31,7 @@ from samira_warp.io.images import read_image, resize_box, to_uint8
 from samira_warp.light import Environment, FilteredLight, compose, decode_srgb, shade
 from samira_warp.support.cli import run
 from samira_warp.support.errors import UserError
+from samira_warp.surface import Surface
 
 MATTE_MIN = 0.05
 """Below this coverage an 8-bit albedo on white holds too little of the surface to recover it."""
@@ -110,8 +111,9 @@ def read_lights(data: Path) -> Iterator[Light]:
 def pairs(
     sequence: Sequence, light: Light, predict: AvatarPrediction | OraclePrediction, *, resolution: int
 ) -> Iterator[ImagePair]:
-    """Prediction and truth of each test frame that the light's folder has; the capture light shows every
-    tenth.
+    """Prediction and truth of each test frame that the light's folder has.
+
+    The capture light shows every tenth.
     """
     shown = [
         sequence.frames[index]
@@ -156,17 +158,13 @@ class OraclePrediction(NamedTuple):
         albedo = ((albedo - (1.0 - mask[..., None])) / mask[..., None].clamp(min=MATTE_MIN)).clamp(0.0, 1.0)
         normal = torch.nn.functional.normalize(2.0 * normal - 1.0, dim=-1).flatten(0, 1)
         ones = torch.ones(len(normal), 1)
-        view = -camera.ray_directions().flatten(0, 1)
-        shaded = shade(
-            decode_srgb(albedo).flatten(0, 1),
-            normal,
-            INITIAL_ROUGHNESS * ones,
-            INITIAL_SPECULAR * ones,
-            ones,
-            ones,
-            view,
-            self.light,
+        surface = Surface.of(
+            albedo=decode_srgb(albedo).flatten(0, 1),
+            normal=normal,
+            roughness=INITIAL_ROUGHNESS * ones,
+            specular=INITIAL_SPECULAR * ones,
         )
+        shaded = shade(surface, -camera.ray_directions().flatten(0, 1), self.light)
         return compose(shaded.color.unflatten(0, mask.shape), mask[..., None], 1.0)
 
 

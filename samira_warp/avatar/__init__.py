@@ -5,7 +5,7 @@ from samira_warp.avatar.canonical import CanonicalHead
 from samira_warp.avatar.editing import MaterialEdit
 from samira_warp.avatar.frames import DrivingFrame, read_frames, write_frames
 from samira_warp.avatar.gaussians import Gaussians
-from samira_warp.avatar.gbuffer import GBuffer, SurfaceAttributes
+from samira_warp.avatar.gbuffer import GBuffer
 from samira_warp.avatar.uv_sampling import geometry_uv
 
 __all__ = [
@@ -18,7 +18,6 @@ __all__ = [
     "MaterialEdit",
     "Motion",
     "Rendering",
-    "SurfaceAttributes",
     "conditions_of",
     "geometry_uv",
     "read_frames",

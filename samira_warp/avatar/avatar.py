@@ -1,6 +1,4 @@
-"""The avatar: one head's Gaussians, motion, materials and light, and the way from head parameters to an
-image.
-"""
+"""The avatar: one head's Gaussians, motion, materials and light, and the way to an image."""
 
 from __future__ import annotations
 
@@ -15,7 +13,7 @@ from torch import nn
 from samira_warp.avatar.canonical import CanonicalHead, neck_rotation
 from samira_warp.avatar.editing import MaterialEdit, edit_materials
 from samira_warp.avatar.gaussians import Gaussians
-from samira_warp.avatar.gbuffer import GBuffer, SurfaceAttributes, render_gbuffer
+from samira_warp.avatar.gbuffer import GBuffer, render_gbuffer
 from samira_warp.avatar.residual import axis_angle_to_quaternion, limit_residual, quaternion_product
 from samira_warp.avatar.response import response_factors, response_map
 from samira_warp.avatar.storage import (
@@ -43,6 +41,7 @@ from samira_warp.light import (
 from samira_warp.light.equirect import turn_directions
 from samira_warp.nets import Conditions, ConditionStatistics, MotionNetwork, MotionSettings
 from samira_warp.support.errors import UserError
+from samira_warp.surface import Surface
 
 DISPLACEMENT_UNIT = 0.01
 """Metres; expressions move the skin by a few millimetres, so D_uv in this unit is about one."""
@@ -172,9 +171,7 @@ class Avatar(nn.Module):
         return self
 
     def move(self, parameters: FrameParameters) -> Motion:
-        """Mesh binding (Eq. lbs) refined by the semantic-adaptive residual (Eqs. uv_displacement to
-        final_motion).
-        """
+        """Mesh binding (Eq. lbs) refined by the residual (Eqs. uv_displacement to final_motion)."""
         head = self.canonical.pose(parameters)
         frames = triangle_frames(head.vertices, self.canonical.topology)
         g = self.gaussians
@@ -199,27 +196,31 @@ class Avatar(nn.Module):
         )
         return Motion(head, refined, *limit_residual(residual))
 
-    def surface(self, motion: Motion, *, edits: Sequence[MaterialEdit] = ()) -> SurfaceAttributes:
-        """Materials, world-space normals and sampled response factors of every Gaussian, the materials
-        changed by ``edits``.
-        """
+    def surface(self, motion: Motion, *, edits: Sequence[MaterialEdit] = ()) -> Surface:
+        """Every channel of every Gaussian, in world space, the materials changed by ``edits``."""
         g = self.gaussians
-        if self.settings.response:
-            factors = response_map(response_factors(self.response_logits), self.canonical.atlas.soft_masks)
-            response = gather(factors.reshape(-1, 2), self.uv_samples)
-        else:
-            response = torch.ones(len(g), 2, device=g.means.device)
-        diffuse, specular = response.split(1, dim=1)
-        surface = SurfaceAttributes(
-            g.albedo, motion.gaussians.normals, g.roughness[:, None], g.specular[:, None], diffuse, specular
+        responses = self._responses() if self.settings.response else {}
+        surface = Surface.of(
+            albedo=g.albedo,
+            normal=motion.gaussians.normals,
+            roughness=g.roughness[:, None],
+            specular=g.specular[:, None],
+            **responses,
         )
         if not edits:
             return surface
         return edit_materials(surface, edits, self.region_weights(), color_space=self.settings.color_space)
 
+    def _responses(self) -> dict[str, torch.Tensor]:
+        """The response factors tau^d and tau^s of every Gaussian, (N, 1) each, by channel."""
+        factors = response_map(response_factors(self.response_logits), self.canonical.atlas.soft_masks)
+        diffuse, specular = gather(factors.reshape(-1, 2), self.uv_samples).split(1, dim=1)
+        return {"response_diffuse": diffuse, "response_specular": specular}
+
     def region_weights(self) -> torch.Tensor:
-        """(N, K) shares of the regions in each Gaussian; they sum to 1 where its surface is in some mask of
-        the template, else to 0.
+        """(N, K) shares of the regions in each Gaussian.
+
+        They sum to 1 where its surface is in some mask of the template, else to 0.
         """
         soft_masks = self.canonical.atlas.soft_masks
         return gather(soft_masks.flatten(1).T.contiguous(), self.uv_samples)
@@ -276,24 +277,34 @@ class Avatar(nn.Module):
         background: torch.Tensor | float = 1.0,
         exposure: float = 1.0,
     ) -> Rendering:
-        """Deferred shading and compositing of a G-buffer (Eqs. response_shading to alpha_compose); the other
-        arguments as for `render`.
+        """Deferred shading and compositing of a G-buffer (Eqs. response_shading to alpha_compose).
+
+        The other arguments are as for `render`.
         """
-        display = {"background": background, "exposure": exposure, "color_space": self.settings.color_space}
-        shaded = _shade_pixels(gbuffer, camera, light, rotate=rotate, **display)
+        shaded = _shade_pixels(
+            gbuffer,
+            camera,
+            light,
+            rotate=rotate,
+            background=background,
+            exposure=exposure,
+            color_space=self.settings.color_space,
+        )
         return Rendering(
             shaded.image, gbuffer, shaded.irradiance, shaded.specular_light, motion, self.settings.color_space
         )
 
     def display(self, values: torch.Tensor) -> torch.Tensor:
-        """Albedo or radiance as a picture: sRGB-encoded where shading is linear, as it is where shading works
-        in image values.
+        """Albedo or radiance as a picture.
+
+        sRGB-encoded where shading is linear, as it is where shading works in image values.
         """
         return to_display(values, color_space=self.settings.color_space)
 
     def save(self, folder: Path, *, record: dict[str, Any]) -> None:
-        """Write the avatar's files into an existing folder: all that rendering needs, no pickle, and its
-        learned light as two maps.
+        """Write the avatar's files into an existing folder.
+
+        All that rendering needs, no pickle, and its learned light as two maps.
 
         Args:
             folder: Where.
@@ -354,9 +365,7 @@ class Avatar(nn.Module):
 
 
 def _check_settings(folder: Path, settings: dict[str, Any]) -> None:
-    """Raise UserError unless every setting is there: a default for one that is missing would be another
-    avatar.
-    """
+    """Raise UserError unless every setting is there: a default would be another avatar."""
     for kind, values in ((AvatarSettings, settings), (MotionSettings, settings.get("motion"))):
         expected = {setting.name for setting in fields(kind)}
         found = set(values) if isinstance(values, dict) else set()
@@ -387,20 +396,29 @@ def _shade_pixels(
 ) -> Shaded:
     """Shade and compose every pixel of a G-buffer; the maps of the result are (H, W, 3)."""
     view = -camera.ray_directions()
-    flat = {name: getattr(gbuffer, name).flatten(0, 1) for name in SurfaceAttributes._fields}
+    surface = gbuffer.map(lambda values: values.flatten(0, 1))
     if rotate != 0.0:
         # A light that turns is seen by a scene that turns the other way: nothing has to be filtered again.
-        view, flat["normal"] = turn_directions(view, rotate), turn_directions(flat["normal"], rotate)
+        view = turn_directions(view, rotate)
+        surface = surface.map(lambda directions: turn_directions(directions, rotate), blend="direction")
     if isinstance(background, torch.Tensor):
         background = background.expand_as(gbuffer.albedo).flatten(0, 1)
-    display = {"background": background, "exposure": exposure, "color_space": color_space}
-    shaded = shade(**flat, view=view.flatten(0, 1), light=light, alpha=gbuffer.alpha.flatten(0, 1), **display)
+    shaded = shade(
+        surface,
+        view.flatten(0, 1),
+        light,
+        alpha=gbuffer.alpha.flatten(0, 1),
+        background=background,
+        exposure=exposure,
+        color_space=color_space,
+    )
     return Shaded(*(value.unflatten(0, gbuffer.alpha.shape[:2]) for value in shaded))
 
 
 def _to_unit_cube(positions: torch.Tensor, valid: torch.Tensor) -> torch.Tensor:
-    """Scale an (H, W, 3) position map so that its (H, W) valid texels fill [-1, 1] about their centre; the
-    others become 0.
+    """Scale an (H, W, 3) position map so that its (H, W) valid texels fill [-1, 1] about their centre.
+
+    The others become 0.
     """
     low, high = positions[valid].amin(dim=0), positions[valid].amax(dim=0)
     return valid[..., None] * (2.0 * (positions - 0.5 * (low + high)) / (high - low).max())

@@ -5,15 +5,16 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import torch
+from torch import Tensor
 
-from samira_warp.avatar.gbuffer import SurfaceAttributes
 from samira_warp.head import REGIONS
 from samira_warp.light import ColorSpace, decode_srgb
 from samira_warp.support.errors import UserError
+from samira_warp.surface import CHANNELS, Channel, Surface
 
 
 class Change(NamedTuple):
@@ -31,6 +32,8 @@ class Change(NamedTuple):
 @dataclass(frozen=True)
 class MaterialEdit:
     """What becomes of the materials of some regions; what is None stays as it is.
+
+    One field a channel that the table of `samira_warp.surface` lets be edited.
 
     Attributes:
         roughness: "x0.5" multiplies, "0.3" sets, 0 to 1.
@@ -56,30 +59,30 @@ class MaterialEdit:
                 raise UserError("region", expected=f"one of {', '.join(REGIONS)}", found=repr(region))
 
     def changes(self) -> dict[str, Change]:
-        """The changes by material, those that are None left out."""
-        parsers = {"roughness": _parse_scalar, "specular": _parse_scalar, "albedo": _parse_albedo}
+        """The changes by channel, those that are None left out."""
         return {
-            name: parse(name, text)
-            for name, parse in parsers.items()
-            if (text := getattr(self, name)) is not None
+            name: _parse(name, text, channel)
+            for name, channel in CHANNELS.items()
+            if channel.edited is not None and (text := getattr(self, name)) is not None
         }
 
 
 def edit_materials(
-    surface: SurfaceAttributes,
+    surface: Surface,
     edits: Sequence[MaterialEdit],
-    region_weights: torch.Tensor,
+    region_weights: Tensor,
     *,
     color_space: ColorSpace,
-) -> SurfaceAttributes:
-    """Apply edits one after the other; results are clamped to 0..1, so no surface reflects more light than
-    meets it.
+) -> Surface:
+    """Apply edits one after the other.
+
+    Results are clamped to their channel's range, so no surface reflects more light than meets it.
 
     Args:
         surface: Materials of N Gaussians.
         edits: What to change.
         region_weights: (N, K) shares of the regions in each Gaussian, 0 to 1.
-        color_space: What albedo is in: "srgb" decodes a colour's display values, "raw" takes them as they
+        color_space: What colours are in: "srgb" decodes an edit's display values, "raw" takes them as they
             are.
     """
     for edit in edits:
@@ -90,24 +93,32 @@ def edit_materials(
             else torch.ones_like(region_weights[:, :1])
         )
         for name, change in edit.changes().items():
-            before = getattr(surface, name)
+            channel, before = CHANNELS[name], getattr(surface, name)
             factor, offset = before.new_tensor(change.factor), before.new_tensor(change.offset)
-            if name == "albedo" and color_space == "srgb":
+            if channel.edited == "color" and color_space == "srgb":
                 offset = decode_srgb(offset)
-            after = (factor * before + offset).clamp(0.0, 1.0)
-            surface = surface._replace(**{name: torch.lerp(before, after, weight)})
+            after = (factor * before + offset).clamp(channel.low, channel.high)
+            surface = replace(surface, **{name: torch.lerp(before, after, weight)})
     return surface
 
 
-def _parse_scalar(name: str, text: str) -> Change:
+def _parse(name: str, text: str, channel: Channel) -> Change:
+    """The change of one channel that an option's text says."""
+    if channel.edited == "color":
+        return _parse_color(name, text)
+    return _parse_number(name, text, channel)
+
+
+def _parse_number(name: str, text: str, channel: Channel) -> Change:
     """x0.5 or 0.3."""
-    expected = "a factor such as x0.5, or a value from 0 to 1"
+    expected = f"a factor such as x0.5, or a value from {channel.low:g} to {channel.high:g}"
     if text.startswith("x"):
         return Change((_number(name, text[1:], expected, found=text),), (0.0,))
-    return Change((0.0,), (_number(name, text, expected, found=text, most=1.0),))
+    value = _number(name, text, expected, found=text, least=channel.low, most=channel.high)
+    return Change((0.0,), (value,))
 
 
-def _parse_albedo(name: str, text: str) -> Change:
+def _parse_color(name: str, text: str) -> Change:
     """#rrggbb, x1.2 or 1.3,0.9,0.9."""
     if re.fullmatch(r"#[0-9a-fA-F]{6}", text):
         return Change((0.0,) * 3, tuple(value / 255.0 for value in bytes.fromhex(text[1:])))
@@ -118,12 +129,14 @@ def _parse_albedo(name: str, text: str) -> Change:
     return Change(tuple(_number(name, word, expected, found=text) for word in words), (0.0,) * 3)
 
 
-def _number(name: str, word: str, expected: str, *, found: str, most: float = math.inf) -> float:
-    """A finite number from 0 to ``most``."""
+def _number(
+    name: str, word: str, expected: str, *, found: str, least: float = 0.0, most: float = math.inf
+) -> float:
+    """A finite number from ``least`` to ``most``."""
     try:
         value = float(word)
     except ValueError:
         value = math.nan
-    if not (0.0 <= value <= most and math.isfinite(value)):
+    if not (least <= value <= most and math.isfinite(value)):
         raise UserError(name, expected=expected, found=repr(found))
     return value

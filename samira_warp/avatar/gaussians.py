@@ -1,11 +1,9 @@
-"""The mesh-bound Gaussians: geometry in their triangle's frame, materials, and where each sits in the UV
-atlas.
-"""
+"""The mesh-bound Gaussians: geometry in their triangle's frame, materials, and places in the UV atlas."""
 
 from __future__ import annotations
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from samira_warp.support.constants import ROUGHNESS_MIN
 
@@ -38,6 +36,18 @@ class Gaussians(nn.Module):
         uv: (N, 2) u_i of Alg. 1 (u right, v up), constant between refreshes.
     """
 
+    means: nn.Parameter
+    log_scales: nn.Parameter
+    quaternions: nn.Parameter
+    opacity_logits: nn.Parameter
+    albedo_logits: nn.Parameter
+    roughness_logits: nn.Parameter
+    specular_logits: nn.Parameter
+    normals: nn.Parameter
+    initial_normals: Tensor
+    faces: Tensor
+    uv: Tensor
+
     PARAMETERS = (
         "means",
         "log_scales",
@@ -50,7 +60,7 @@ class Gaussians(nn.Module):
     )
     CONSTANTS = ("initial_normals", "faces", "uv")
 
-    def __init__(self, values: dict[str, torch.Tensor]) -> None:
+    def __init__(self, values: dict[str, Tensor]) -> None:
         """Take the tensors named by PARAMETERS and CONSTANTS."""
         super().__init__()
         for name in self.PARAMETERS:
@@ -63,33 +73,33 @@ class Gaussians(nn.Module):
         return len(self.means)
 
     @property
-    def scales(self) -> torch.Tensor:
+    def scales(self) -> Tensor:
         """(N, 3) standard deviations in units of the triangle's k."""
         return self.log_scales.exp()
 
     @property
-    def opacities(self) -> torch.Tensor:
+    def opacities(self) -> Tensor:
         """(N,) in 0..1."""
         return self.opacity_logits.sigmoid()
 
     @property
-    def albedo(self) -> torch.Tensor:
+    def albedo(self) -> Tensor:
         """(N, 3) linear, 0..1."""
         return self.albedo_logits.sigmoid()
 
     @property
-    def roughness(self) -> torch.Tensor:
+    def roughness(self) -> Tensor:
         """(N,) perceptual roughness rho; GGX's alpha is its square."""
         low, high = ROUGHNESS_RANGE
         return low + (high - low) * self.roughness_logits.sigmoid()
 
     @property
-    def specular(self) -> torch.Tensor:
+    def specular(self) -> Tensor:
         """(N,) reflectance at normal incidence f."""
         low, high = SPECULAR_RANGE
         return low + (high - low) * self.specular_logits.sigmoid()
 
-    def tensors(self) -> dict[str, torch.Tensor]:
+    def tensors(self) -> dict[str, Tensor]:
         """Every parameter's and constant's current value, detached, by name."""
         return {name: getattr(self, name).detach() for name in (*self.PARAMETERS, *self.CONSTANTS)}
 
@@ -97,12 +107,12 @@ class Gaussians(nn.Module):
     def start(
         cls,
         *,
-        means: torch.Tensor,
-        scales: torch.Tensor,
-        normals: torch.Tensor,
-        albedo: torch.Tensor,
-        faces: torch.Tensor,
-        uv: torch.Tensor,
+        means: Tensor,
+        scales: Tensor,
+        normals: Tensor,
+        albedo: Tensor,
+        faces: Tensor,
+        uv: Tensor,
         opacity: float,
     ) -> Gaussians:
         """Gaussians of given geometry and albedo, with the initial materials and no rotation.

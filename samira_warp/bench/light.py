@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json as json_format
 import tempfile
+from functools import partial
 from pathlib import Path
 
 import OpenImageIO
@@ -19,6 +20,7 @@ from samira_warp.light.filtered import ROUGHNESS_STEP, FilteredLight
 from samira_warp.light.learnable import LearnableLight
 from samira_warp.light.shading import shade
 from samira_warp.reference.cubemap import filter as reference
+from samira_warp.surface import CHANNELS, Surface
 
 SHADED_PIXELS = 65536
 """A frame of 256 x 256, every pixel covered."""
@@ -88,8 +90,9 @@ def _brute_force_error(device: torch.device) -> float:
 
 
 def _environment_error(device: torch.device) -> float:
-    """Against sums over all texels of the base, by the peak of each mip: a random map with one bright
-    texel.
+    """Against sums over all texels of the base, by the peak of each mip.
+
+    The base is a random map with one bright texel.
     """
     generator = torch.Generator().manual_seed(0)
     size = ENVIRONMENT_SIZE
@@ -133,10 +136,8 @@ def _shade_ms(device: torch.device) -> dict[str, float]:
 
     normal = torch.nn.functional.normalize(random(3) * 2 - 1, dim=-1)
     view = torch.nn.functional.normalize(normal + 0.5 * (random(3) * 2 - 1), dim=-1).to(device)
-    values = [
-        value.to(device).requires_grad_()
-        for value in (random(3), normal, random(1), random(1), random(1), random(1))
-    ]
+    channels = {name: random(channel.width) for name, channel in CHANNELS.items()}
+    surface = Surface(**{**channels, "normal": normal}).map(lambda values: values.to(device).requires_grad_())
     light = LearnableLight(torch.ones(3)).to(device)()
     maps = [mip.detach().requires_grad_() for mip in _maps(light)]
     light = FilteredLight(maps[0], tuple(maps[1:]))
@@ -150,14 +151,15 @@ def _shade_ms(device: torch.device) -> dict[str, float]:
         )
 
         def run(alpha: Tensor = alpha) -> Tensor:
-            return shade(*values, view, light, alpha=alpha).image
+            return shade(surface, view, light, alpha=alpha).image
 
         def back(image: Tensor, alpha: Tensor = alpha) -> None:
-            torch.autograd.grad(image, [*values, alpha, *maps], torch.ones_like(image), retain_graph=True)
+            leaves = [*surface.channels().values(), alpha, *maps]
+            torch.autograd.grad(image, leaves, torch.ones_like(image), retain_graph=True)
 
         image = run()
         times[f"{name}_ms"] = least_ms(run, device, repeats=11)
-        times[f"{name}_adjoint_ms"] = least_ms(lambda image=image, back=back: back(image), device, repeats=11)
+        times[f"{name}_adjoint_ms"] = least_ms(partial(back, image), device, repeats=11)
     return times
 
 

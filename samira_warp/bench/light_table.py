@@ -1,17 +1,17 @@
-"""How far shading is from the truth under real lights: spheres and a head, against Monte Carlo of the same
-split-sum terms.
+"""How far shading is from the truth under real lights.
+
+Spheres and a head, against Monte Carlo of the same split-sum terms.
 """
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from samira_warp.avatar.gbuffer import SurfaceAttributes
 from samira_warp.bench.light_truth import Panorama, brdf_terms, seen_light
 from samira_warp.bench.subject import make_avatar, make_camera, make_parameters
 from samira_warp.light.environment import Environment
@@ -19,6 +19,7 @@ from samira_warp.light.radiance_map import RadianceMap
 from samira_warp.light.shading import shade
 from samira_warp.support.constants import COVERED_ALPHA
 from samira_warp.support.errors import UserError
+from samira_warp.surface import Surface
 
 SPHERE_ROUGHNESS = (0.1, 0.25, 0.35, 0.5, 0.75, 1.0)
 """Roughness of the spheres: 0.1 and 0.35 are blends of two mips, the others are mips of their own."""
@@ -30,25 +31,25 @@ SAMPLES = 8192
 """Monte Carlo samples of each integral, by the lobe and as many by the light."""
 
 
-class Surface(NamedTuple):
-    """Points of a G-buffer, float32: see `light.shading.shade`."""
+class Points(NamedTuple):
+    """What `light.shading.shade` takes of shaded points, their light apart.
 
-    albedo: Tensor
-    normal: Tensor
-    roughness: Tensor
-    specular: Tensor
-    response_diffuse: Tensor
-    response_specular: Tensor
+    Attributes:
+        surface: Channels (POINTS, width) float32.
+        view: (POINTS, 3) unit vectors to the camera.
+    """
+
+    surface: Surface
     view: Tensor
 
 
-def light_table(folder: Path, device: torch.device) -> list[dict[str, object]]:
-    """One row per map in ``folder`` and object: root mean square errors over the mean of the truth, all in
-    linear radiance.
+def light_table(folder: Path, device: torch.device) -> list[dict[str, Any]]:
+    """Root mean square errors over the mean of the truth, all in linear radiance.
 
-    Fields: ``map``; ``object``; ``irradiance``, ``specular_light`` and ``color``, the errors of L_d, L_s and
-        C_fg; and ``noise``, the
-    standard error of the true C_fg itself.
+    Returns:
+        One row per map in ``folder`` and object, with the fields ``map``; ``object``; ``irradiance``,
+        ``specular_light`` and ``color``, the errors of L_d, L_s and C_fg; and ``noise``, the standard error
+        of the true C_fg itself.
 
     Raises:
         UserError: The folder holds no maps, or one cannot be read or is a cube cross.
@@ -63,13 +64,14 @@ def light_table(folder: Path, device: torch.device) -> list[dict[str, object]]:
     for path in paths:
         panorama = _read_panorama(path)
         light = Environment.load(path).to(device).filtered()
-        for name, surface in objects.items():
-            shaded = shade(*(values.to(device) for values in surface), light)
+        for name, points in objects.items():
+            surface = points.surface.map(lambda values: values.to(device))
+            shaded = shade(surface, points.view.to(device), light)
             found = (
                 value.cpu().double().numpy()
                 for value in (shaded.irradiance, shaded.specular_light, shaded.color)
             )
-            truth, noise = true_light(surface, panorama, np.random.default_rng(0))
+            truth, noise = true_light(points, panorama, np.random.default_rng(0))
             errors = {
                 term: _relative(mine - exact, exact)
                 for term, mine, exact in zip(
@@ -92,19 +94,21 @@ def _read_panorama(path: Path) -> Panorama:
 
 
 def true_light(
-    surface: Surface, panorama: Panorama, generator: np.random.Generator
+    points: Points, panorama: Panorama, generator: np.random.Generator
 ) -> tuple[tuple[np.ndarray, ...], np.ndarray]:
     """L_d, L_s and C_fg (M, 3) of a surface, float64, by Monte Carlo, and the standard error of C_fg."""
-    albedo, normal, roughness, f, tau_d, tau_s, view = (values.double().numpy() for values in surface)
+    channels = {name: values.double().numpy() for name, values in points.surface.channels().items()}
+    normal, roughness, f = channels["normal"], channels["roughness"], channels["specular"]
+    tau_d, tau_s = channels["response_diffuse"], channels["response_specular"]
+    view = points.view.double().numpy()
     cosine = (normal * view).sum(axis=-1, keepdims=True)
     reflected = 2 * cosine * normal - view
     reflected /= np.linalg.norm(reflected, axis=-1, keepdims=True)
-    options = {"samples": SAMPLES, "generator": generator}
-    diffuse = seen_light(panorama, normal, np.ones(len(normal)), **options)
-    shine = seen_light(panorama, reflected, roughness[:, 0], **options)
-    terms = brdf_terms(roughness[:, 0], cosine[:, 0], **options)
+    diffuse = seen_light(panorama, normal, np.ones(len(normal)), samples=SAMPLES, generator=generator)
+    shine = seen_light(panorama, reflected, roughness[:, 0], samples=SAMPLES, generator=generator)
+    terms = brdf_terms(roughness[:, 0], cosine[:, 0], samples=SAMPLES, generator=generator)
     factor, factor_error = (f * part[:, :1] + part[:, 1:] for part in terms)
-    matte = albedo * (1 - f) * tau_d
+    matte = channels["albedo"] * (1 - f) * tau_d
     color = matte * diffuse.mean + tau_s * shine.mean * factor
     error = np.sqrt(
         (matte * diffuse.error) ** 2
@@ -114,20 +118,26 @@ def true_light(
     return (tau_d * diffuse.mean, tau_s * shine.mean, color), error
 
 
-def sphere(roughness: float) -> Surface:
-    """A grey sphere of reflectance 0.04 seen from +z, its points evenly spread (Vogel's spiral) to 75 degrees
-    from the centre.
+def sphere(roughness: float) -> Points:
+    """A grey sphere of reflectance 0.04 seen from +z.
+
+    Its points are evenly spread (Vogel's spiral) to 75 degrees from the centre.
     """
     index = np.arange(POINTS) + 0.5
     radius, turn = np.sin(np.radians(75)) * np.sqrt(index / POINTS), index * np.pi * (3 - np.sqrt(5))
-    points = np.stack([radius * np.cos(turn), radius * np.sin(turn), np.sqrt(1 - radius**2)], axis=-1)
-    normal, ones = torch.from_numpy(points).float(), torch.ones(POINTS, 1)
-    towards = torch.tensor([0.0, 0.0, 1.0]).expand(POINTS, 3).contiguous()
-    return Surface(0.5 * ones.expand(-1, 3), normal, roughness * ones, 0.04 * ones, ones, ones, towards)
+    places = np.stack([radius * np.cos(turn), radius * np.sin(turn), np.sqrt(1 - radius**2)], axis=-1)
+    ones = torch.ones(POINTS, 1)
+    surface = Surface.of(
+        albedo=0.5 * ones.expand(-1, 3),
+        normal=torch.from_numpy(places).float(),
+        roughness=roughness * ones,
+        specular=0.04 * ones,
+    )
+    return Points(surface, torch.tensor([0.0, 0.0, 1.0]).expand(POINTS, 3).contiguous())
 
 
 @torch.no_grad()
-def head() -> Surface:
+def head() -> Points:
     """Points of the G-buffer of the benchmark's head that face the camera."""
     avatar, camera = make_avatar("cpu", device="cpu"), make_camera(64)
     gbuffer = avatar.rasterize(avatar.move(make_parameters(0)), camera)
@@ -135,21 +145,23 @@ def head() -> Surface:
     facing = (gbuffer.alpha >= max(COVERED_ALPHA, 0.5))[..., 0] & ((gbuffer.normal * view).sum(dim=-1) > 0.1)
     chosen = facing.flatten().nonzero()[:, 0]
     chosen = chosen[torch.linspace(0, len(chosen) - 1, POINTS).long()]
-    channels = {name: getattr(gbuffer, name).flatten(0, 1)[chosen] for name in SurfaceAttributes._fields}
-    return Surface(**channels, view=view.flatten(0, 1)[chosen])
+    surface = gbuffer.map(lambda values: values.flatten(0, 1)[chosen])
+    return Points(surface, view.flatten(0, 1)[chosen])
 
 
-def print_light_table(rows: list[dict[str, object]]) -> None:
-    """One line per map: per cent of error of L_d and, per object, of L_s; then of C_fg on the head, and what
-    of that is noise.
+def print_light_table(rows: list[dict[str, Any]]) -> None:
+    """One line per map, in per cent.
+
+    The error of L_d and, per object, of L_s; then of C_fg on the head, and what of that is noise.
     """
-    by_map: dict[str, dict[str, dict[str, object]]] = {}
+    by_map: dict[str, dict[str, dict[str, Any]]] = {}
     for row in rows:
         by_map.setdefault(str(row["map"]), {})[str(row["object"])] = row
     width = max(map(len, by_map))
     spheres = [name for name in next(iter(by_map.values())) if name != "head"]
     print(
-        "\nper cent of the mean, root mean square, against Monte Carlo: L_d and C_fg on the head, L_s on spheres by roughness"
+        "\nper cent of the mean, root mean square, against Monte Carlo: L_d and C_fg on the head, "
+        "L_s on spheres by roughness"
     )
     titles = ["L_d", *(name.removeprefix("sphere ") for name in spheres), "L_s head", "C_fg head", "noise"]
     print(" ".join(["map".ljust(width), *(title.rjust(9) for title in titles)]))

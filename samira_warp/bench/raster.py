@@ -1,5 +1,6 @@
-"""Times of the rasteriser on a synthetic head, beside a yardstick: the plain per-pixel kernels on a CPU,
-gsplat on a GPU.
+"""Times of the rasteriser on a synthetic head, beside a yardstick.
+
+That is the plain per-pixel kernels on a CPU, gsplat on a GPU.
 """
 
 from __future__ import annotations
@@ -25,9 +26,10 @@ from samira_warp.kernels.raster.blending import blend
 from samira_warp.kernels.raster.projection import Projection, project
 from samira_warp.kernels.raster.rasterizer import rasterize
 from samira_warp.kernels.raster.tiles import TILE, TileBins, bin_tiles
+from samira_warp.surface import SURFACE_WIDTH
 
-GBUFFER_CHANNELS = 11
-"""Albedo and normal, three each; roughness, specular, two response factors and depth."""
+GBUFFER_CHANNELS = SURFACE_WIDTH + 1
+"""Those of the surface, and depth."""
 
 REPEATS = 5
 DISPATCH_REPEATS = 100
@@ -144,8 +146,9 @@ def main(device: str, json: bool) -> None:
 
 
 def _in_table(name: str, device: torch.device) -> bool:
-    """Whether a field is a column of the large table: not what is the same in every row, nor the other
-    device's yardstick.
+    """Whether a field is a column of the large table.
+
+    What is the same in every row is not, nor the other device's yardstick.
     """
     if name.startswith("dispatch") or name == "hardware":
         return False
@@ -257,9 +260,7 @@ def stage_times(scene: Scene, channels: int) -> StageTimes:
 
 
 def dispatch_times(device: torch.device) -> Times:
-    """Time the whole operator where there is next to nothing to compute: one Gaussian in an image of one
-    tile.
-    """
+    """Time the whole operator where there is next to nothing to compute: one Gaussian in one tile."""
     scene = make_scene(1, TILE, device)
     leaves, gradients = _leaves(scene, 3), scene.image_gradients(3)
     # reading the number of intersections back would wait for the kernels, on a GPU
@@ -278,9 +279,7 @@ def dispatch_times(device: torch.device) -> Times:
 
 
 def operator_peak_bytes(scene: Scene, channels: int) -> int:
-    """Peak bytes of the whole operator, forward and backward, above its inputs and the gradients that it
-    gets.
-    """
+    """Peak bytes of the whole operator, forward and backward, above its inputs and the gradients it gets."""
     leaves, gradients = _leaves(scene, channels), scene.image_gradients(channels)
     return peak_bytes(
         lambda: torch.autograd.grad(rasterize(*leaves, scene.camera)[:2], leaves, gradients),

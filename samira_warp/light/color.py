@@ -13,8 +13,9 @@ ColorSpace = Literal["srgb", "raw"]
 
 
 def encode_srgb(linear: torch.Tensor) -> torch.Tensor:
-    """Linear values of any shape to sRGB display values. Not clipped: 1 and above go on along the curve,
-    negative ones along its line.
+    """Linear values of any shape to sRGB display values.
+
+    Not clipped: 1 and above go on along the curve, negative ones along its line.
     """
     curved = linear.clamp(min=LINEAR_END)
     return torch.where(
@@ -32,8 +33,9 @@ def decode_srgb(display: torch.Tensor) -> torch.Tensor:
 
 
 def to_display(values: torch.Tensor, *, color_space: ColorSpace) -> torch.Tensor:
-    """What shading works in, as a picture shows it: encoded where that is linear light, as it is where it is
-    image values.
+    """What shading works in, as a picture shows it.
+
+    Encoded where that is linear light ("srgb"), as it is where it is image values ("raw").
     """
     return encode_srgb(values) if color_space == "srgb" else values
 
@@ -41,7 +43,7 @@ def to_display(values: torch.Tensor, *, color_space: ColorSpace) -> torch.Tensor
 def compose(
     foreground: torch.Tensor,
     alpha: torch.Tensor,
-    background: torch.Tensor,
+    background: torch.Tensor | float,
     *,
     exposure: float = 1.0,
     color_space: ColorSpace = "srgb",
@@ -51,7 +53,7 @@ def compose(
     Args:
         foreground: (..., 3) linear C_fg, not premultiplied.
         alpha: (..., 1) coverage.
-        background: (..., 3) display values, or anything that broadcasts to them.
+        background: (..., 3) display values, or what broadcasts to them.
         exposure: Factor on the linear foreground.
         color_space: "srgb" encodes the foreground; "raw" takes its values for display values.
 

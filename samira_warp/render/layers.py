@@ -2,29 +2,31 @@
 
 from __future__ import annotations
 
-from typing import Literal, NamedTuple
+from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
 
 import torch
+from torch import Tensor
 
 from samira_warp.avatar import Rendering
 from samira_warp.avatar.residual import POSITION_LIMIT
-from samira_warp.light import encode_srgb
+from samira_warp.light import encode_srgb, to_display
+from samira_warp.surface import CHANNELS
 
-Layer = Literal[
-    "image",
-    "albedo",
-    "normal",
-    "roughness",
-    "specular",
-    "alpha",
-    "depth",
-    "response_diffuse",
-    "response_specular",
-    "irradiance",
-    "specular_light",
-    "residual_position",
-    "residual_rotation",
-]
+if TYPE_CHECKING:
+    Layer: TypeAlias = str
+else:
+    Layer = Literal[
+        "image",
+        *CHANNELS,
+        "alpha",
+        "depth",
+        "irradiance",
+        "specular_light",
+        "residual_position",
+        "residual_rotation",
+    ]
+"""What there is to look at. The channels of a surface come from their table, which a type checker cannot
+follow."""
 
 
 class LayerImage(NamedTuple):
@@ -35,17 +37,18 @@ class LayerImage(NamedTuple):
         values: (H, W, C) physical values for an EXR, or None where the picture holds all there is.
     """
 
-    picture: torch.Tensor
-    values: torch.Tensor | None = None
+    picture: Tensor
+    values: Tensor | None = None
 
 
 def layer_image(rendering: Rendering, layer: Layer) -> LayerImage:
     """Turn one layer into a picture.
 
-    Albedo is sRGB-encoded on white; normals are (n + 1) / 2 in world space on mid-grey; responses 0.5 to 1.5
-    map to 0 to 1; depth runs from white (nearest) to black; irradiance and specular light are sRGB-encoded
-    and come with their linear values; residuals are UV maps in metres and radians, their pictures mid-grey at
-    zero and full scale at the residual's limit.
+    A channel of the surface is drawn as its table says: albedo in display values on white; normals as
+    (n + 1) / 2 in world space on mid-grey; responses 0.5 to 1.5 as 0 to 1, likewise. Depth runs from white
+    (nearest) to black; irradiance and specular light are sRGB-encoded and come with their linear values;
+    residuals are UV maps in metres and radians, their pictures mid-grey at zero and full scale at the
+    residual's limit.
 
     Args:
         rendering: The frame.
@@ -57,14 +60,8 @@ def layer_image(rendering: Rendering, layer: Layer) -> LayerImage:
         return LayerImage(rendering.image)
     if layer == "alpha":
         return LayerImage(alpha)
-    if layer == "albedo":
-        return LayerImage(_on(1.0, rendering.albedo, alpha))
-    if layer == "normal":
-        return LayerImage(_on(0.5, 0.5 * (g.normal + 1.0), alpha))
-    if layer in ("roughness", "specular"):
-        return LayerImage(_on(1.0, getattr(g, layer), alpha))
-    if layer in ("response_diffuse", "response_specular"):
-        return LayerImage(_on(0.5, getattr(g, layer) - 0.5, alpha))
+    if layer in CHANNELS:
+        return LayerImage(_channel_picture(rendering, layer))
     if layer == "depth":
         return LayerImage(_depth_picture(g.depth, alpha), g.depth)
     if layer in ("irradiance", "specular_light"):
@@ -77,12 +74,21 @@ def layer_image(rendering: Rendering, layer: Layer) -> LayerImage:
     return LayerImage(0.5 + 0.5 * values / limit, values)
 
 
-def _on(background: float, picture: torch.Tensor, alpha: torch.Tensor) -> torch.Tensor:
+def _channel_picture(rendering: Rendering, name: str) -> Tensor:
+    """A channel of the surface as `Channel.drawn` says."""
+    channel, values, alpha = CHANNELS[name], getattr(rendering.gbuffer, name), rendering.gbuffer.alpha
+    if channel.drawn == "color":
+        return _on(1.0, to_display(values, color_space=rendering.color_space), alpha)
+    behind = {"amount": 1.0, "balance": 0.5}[channel.drawn]
+    return _on(behind, (values - channel.low) / (channel.high - channel.low), alpha)
+
+
+def _on(background: float, picture: Tensor, alpha: Tensor) -> Tensor:
     """Composite a picture on a grey."""
     return alpha * picture + (1.0 - alpha) * background
 
 
-def _depth_picture(depth: torch.Tensor, alpha: torch.Tensor) -> torch.Tensor:
+def _depth_picture(depth: Tensor, alpha: Tensor) -> Tensor:
     """White at the nearest surface, black at the farthest and where nothing is."""
     surface = alpha > 0.5
     near, far = (

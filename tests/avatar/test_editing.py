@@ -1,22 +1,32 @@
+from dataclasses import fields
+
 import pytest
 import torch
 from subjects import camera, parameters, small_avatar
 
-from samira_warp.avatar import MaterialEdit, SurfaceAttributes
+from samira_warp.avatar import MaterialEdit
 from samira_warp.avatar.editing import edit_materials
 from samira_warp.head import REGIONS
 from samira_warp.light import decode_srgb
 from samira_warp.support.errors import UserError
+from samira_warp.surface import CHANNELS, Surface
 
 COUNT = 50
 
 
 @pytest.fixture
 def surface(generator, device):
-    widths = {name: 3 if name in ("albedo", "normal") else 1 for name in SurfaceAttributes._fields}
-    return SurfaceAttributes(
-        *(torch.rand(COUNT, width, generator=generator).to(device) for width in widths.values())
+    return Surface(
+        **{
+            name: torch.rand(COUNT, channel.width, generator=generator).to(device)
+            for name, channel in CHANNELS.items()
+        }
     )
+
+
+def test_an_edit_names_the_channels_that_may_be_edited():
+    editable = {name for name, channel in CHANNELS.items() if channel.edited is not None}
+    assert {field.name for field in fields(MaterialEdit)} == {*editable, "regions"}
 
 
 @pytest.fixture
@@ -42,7 +52,7 @@ def weights(generator, device):
 )
 def test_each_change(surface, weights, name, text, expected):
     edited = edit_materials(surface, [MaterialEdit(**{name: text})], weights, color_space="srgb")
-    for field in SurfaceAttributes._fields:
+    for field in CHANNELS:
         before = getattr(surface, field)
         torch.testing.assert_close(getattr(edited, field), expected(before) if field == name else before)
 

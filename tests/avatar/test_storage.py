@@ -13,6 +13,7 @@ from samira_warp import Avatar, UserError
 from samira_warp.avatar import DrivingFrame, read_frames, write_frames
 from samira_warp.light import Environment
 from samira_warp.nets import MotionSettings
+from samira_warp.surface import CHANNELS
 
 
 @pytest.fixture(scope="module")
@@ -39,16 +40,7 @@ def test_a_loaded_avatar_renders_the_same_bits(saved):
     with torch.no_grad():
         before, after = avatar.render(frame, view), loaded.render(frame, view)
     assert torch.equal(before.image, after.image)
-    for name in (
-        "albedo",
-        "normal",
-        "roughness",
-        "specular",
-        "response_diffuse",
-        "response_specular",
-        "depth",
-        "alpha",
-    ):
+    for name in (*CHANNELS, "depth", "alpha"):
         assert torch.equal(getattr(before.gbuffer, name), getattr(after.gbuffer, name)), name
     assert loaded.settings == avatar.settings
 

@@ -13,6 +13,7 @@ from samira_warp.kernels.mesh.binding import FaceBinding, bind
 from samira_warp.kernels.mesh.triangle_frames import MeshTopology, triangle_frames
 from samira_warp.kernels.raster.rasterizer import rasterize
 from samira_warp.light import FilteredLight, shade
+from samira_warp.surface import Surface
 
 
 def frames_of(device, vertices):
@@ -39,8 +40,9 @@ def bound(device, means):
 
 def shaded(device, albedo):
     one, normal = torch.ones(4, 1, device=device), torch.eye(4, 3, device=device)
+    surface = Surface.of(albedo=albedo, normal=normal, roughness=one, specular=one)
     light = FilteredLight(torch.ones(6, 2, 2, 3, device=device), (torch.ones(6, 2, 2, 3, device=device),) * 2)
-    return shade(albedo, normal, one, one, one, one, normal, light).color
+    return shade(surface, normal, light).color
 
 
 def rasterized(device, features):

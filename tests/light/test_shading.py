@@ -1,101 +1,152 @@
+import inspect
+import re
+from dataclasses import replace
+
 import pytest
 import torch
 
+from samira_warp.kernels.shading import deferred
+from samira_warp.kernels.shading.deferred import shade_gbuffer
 from samira_warp.light import FilteredLight, Shaded, compose, decode_srgb, encode_srgb, shade
 from samira_warp.light.brdf import brdf_table
 from samira_warp.reference.shading import deferred as reference
 from samira_warp.support.errors import UserError
+from samira_warp.surface import CHANNELS, Surface
 
-NAMES = (
-    "albedo",
-    "normal",
-    "roughness",
-    "specular",
-    "response_diffuse",
-    "response_specular",
-    "view",
-    "alpha",
-)
+RANGES = {"roughness": (0.08, 0.98), "specular": (0.02, 0.12)}
+"""Ranges of what a surface is made of, where they are not those of the table."""
 
 
-def surface(count, generator, dtype=torch.float64):
-    """G-buffer values in their ranges, n . v from about 0.1 to 1."""
-    options = {"generator": generator, "dtype": dtype}
-    normal = torch.nn.functional.normalize(torch.randn(count, 3, **options), dim=-1)
-    view = torch.nn.functional.normalize(normal + 0.4 * torch.randn(count, 3, **options), dim=-1)
-    scalar = [torch.rand(count, 1, **options) for _ in range(4)]
-    roughness, specular, diffuse, shine = scalar
-    return (
-        torch.rand(count, 3, **options),
-        normal,
-        0.08 + 0.9 * roughness,
-        0.02 + 0.1 * specular,
-        0.5 + diffuse,
-        0.5 + shine,
-        view,
-    )
+def unit(values):
+    return torch.nn.functional.normalize(values, dim=-1)
 
 
-def test_roughness_gradient_at_and_beyond_the_borders(device, generator):
-    values = [value.float().to(device) for value in surface(4, generator)]
-    values[2] = torch.tensor([[-0.1], [0.0], [1.0], [1.1]], device=device, requires_grad=True)
-    maps = [torch.rand(6, size, size, 3, generator=generator).to(device) for size in (4, 8, 4, 4, 4, 4)]
-    shaded = shade(*values, FilteredLight(maps[0], tuple(maps[1:])))
-    grads = torch.autograd.grad(shaded.color.sum(), values[2])[0].flatten() != 0
-    assert grads.tolist() == [False, True, True, False]
+def make_points(count, generator):
+    """A surface with every channel anywhere in its range, and views with n . v from about 0.1 to 1."""
+    options = {"generator": generator, "dtype": torch.float64}
+    channels = {}
+    for name, channel in CHANNELS.items():
+        low, high = RANGES.get(name, (channel.low, channel.high))
+        channels[name] = (
+            unit(torch.randn(count, channel.width, **options))
+            if channel.blend == "direction"
+            else low + (high - low) * torch.rand(count, channel.width, **options)
+        )
+    surface = Surface(**channels)
+    return surface, unit(surface.normal + 0.4 * torch.randn(count, 3, **options))
 
 
-def coverage(count, generator, dtype=torch.float64):
+def single(tensor, device):
+    """A leaf of single precision."""
+    return tensor.detach().float().to(device).requires_grad_()
+
+
+def single_points(count, generator, device):
+    surface, view = make_points(count, generator)
+    return surface.map(lambda values: single(values, device)), single(view, device)
+
+
+def tensors(surface):
+    return list(surface.channels().values())
+
+
+def make_light(generator, device, *, sizes=(4,) * 6):
+    maps = [single(torch.rand(6, size, size, 3, generator=generator), device) for size in sizes]
+    return FilteredLight(maps[0], tuple(maps[1:]))
+
+
+def maps_of(light):
+    return [light.irradiance, *light.specular]
+
+
+def coverage(count, generator):
     """Alpha of which a quarter is 0, a quarter just too little for a surface, and the rest anything."""
-    alpha = 0.01 + 0.99 * torch.rand(count, 1, generator=generator, dtype=dtype)
+    alpha = 0.01 + 0.99 * torch.rand(count, 1, generator=generator, dtype=torch.float64)
     alpha[::4] = 0
     alpha[1::4] = 0.9 / 255
     return alpha
+
+
+KERNELS = {
+    name: deferred._parameters(getattr(deferred, name))
+    for name in ("_shade", "_display_adjoint", "_diffuse_adjoint", "_specular_adjoint")
+}
+
+
+@pytest.mark.parametrize("kernel", KERNELS)
+def test_kernels_take_channels_and_their_gradients_in_the_tables_order(kernel):
+    for prefix in ("", "grad_"):
+        in_order = [prefix + name for name in CHANNELS]
+        taken = [name for name in KERNELS[kernel] if name in in_order]
+        assert taken == [name for name in in_order if name in taken]
+
+
+def test_what_the_pass_reads_gets_a_gradient():
+    read = [name for name in KERNELS["_shade"] if name in (*CHANNELS, "view", "alpha")]
+    assert read == [*CHANNELS, "view", "alpha"]
+    for name in read:
+        assert any(f"grad_{name}" in parameters for parameters in KERNELS.values()), name
+
+
+def test_the_reference_takes_what_the_operator_takes():
+    assert inspect.signature(shade_gbuffer) == inspect.signature(reference.shade_gbuffer)
 
 
 @pytest.mark.parametrize("color_space", ["srgb", "raw"])
 def test_shade_matches_the_reference(device, generator, color_space):
     """Every output, and its gradients to every channel of the G-buffer and every texel of both
     environments."""
-    values = [value.requires_grad_() for value in (*surface(1000, generator), coverage(1000, generator))]
-    sizes = (16, 8, 4, 4, 2)
+    surface, view = make_points(1000, generator)
     options = {"generator": generator, "dtype": torch.float64}
     # Some colours are below the end of the sRGB curve's line.
-    maps = [(torch.rand(6, size, size, 3, **options) ** 4).requires_grad_() for size in (16, *sizes)]
-    background, upstream = (
-        torch.rand(1000, 3, **options),
-        [torch.randn(1000, 3, **options) for _ in Shaded._fields],
-    )
-    terms = {
-        "irradiance": maps[0],
-        "mips": tuple(maps[1:]),
-        "brdf": brdf_table(torch.device("cpu")),
-        "background": background,
-    }
-    expected = reference.shade_gbuffer(*values, **terms, exposure=0.7, encoded=color_space == "srgb")
-    expected_grads = torch.autograd.grad(expected, [*values, *maps], upstream)
-    inner = [tensor.detach().float().to(device).requires_grad_() for tensor in [*values, *maps]]
-    composition = {
-        "alpha": inner[7],
-        "background": background.float().to(device),
-        "exposure": 0.7,
-        "color_space": color_space,
-    }
-    result = shade(*inner[:7], FilteredLight(inner[8], tuple(inner[9:])), **composition)
-    grads = torch.autograd.grad(result, inner, [grad.float().to(device) for grad in upstream])
-    for value, wanted in zip(result, expected, strict=True):
+    maps = [torch.rand(6, size, size, 3, **options) ** 4 for size in (16, 16, 8, 4, 4, 2)]
+    inputs = {**surface.channels(), "view": view, "alpha": coverage(1000, generator)}
+    inputs |= {f"map {index}": texels for index, texels in enumerate(maps)}
+    background = torch.rand(1000, 3, **options)
+    upstream = [torch.randn(1000, 3, **options) for _ in Shaded._fields]
+
+    def run(operator, convert):
+        given = {name: convert(values).requires_grad_() for name, values in inputs.items()}
+        first, *mips = (given[f"map {index}"] for index in range(len(maps)))
+        shaded = operator(
+            Surface(**{name: given[name] for name in CHANNELS}),
+            given["view"],
+            given["alpha"],
+            irradiance=first,
+            mips=tuple(mips),
+            brdf=brdf_table(first.device),
+            background=convert(background),
+            exposure=0.7,
+            encoded=color_space == "srgb",
+        )
+        grads = torch.autograd.grad(shaded, list(given.values()), [convert(grad) for grad in upstream])
+        return shaded, dict(zip(given, grads, strict=True))
+
+    expected, expected_grads = run(reference.shade_gbuffer, lambda values: values.clone())
+    found, grads = run(shade_gbuffer, lambda values: values.float().to(device))
+    for value, wanted in zip(found, expected, strict=True):
         assert torch.allclose(value.cpu().double(), wanted, atol=1e-5)
-    for name, grad, wanted in zip((*NAMES, "irradiance", *("mip",) * 5), grads, expected_grads, strict=True):
-        grad = grad.cpu().double()
+    for name, wanted in expected_grads.items():
+        grad = grads[name].cpu().double()
         # Single precision moves a few lookups to the next cell, where the slope is another one.
         assert (grad - wanted).norm() <= 2e-3 * wanted.norm(), name
         assert torch.nn.functional.cosine_similarity(grad.flatten(), wanted.flatten(), dim=0) > 0.99999, name
 
 
+def test_a_light_is_shaded_as_its_maps_are(device, generator):
+    """`light.shade` with its defaults is the operator with the light's maps and the BRDF's table."""
+    surface, view = single_points(40, generator, device)
+    light = make_light(generator, device)
+    terms = {"irradiance": light.irradiance, "mips": light.specular, "brdf": brdf_table(device)}
+    ones = torch.ones(40, 3, device=device)
+    wanted = shade_gbuffer(surface, view, ones[:, :1], **terms, background=ones)
+    assert all(map(torch.equal, shade(surface, view, light), wanted))
+
+
 @pytest.mark.parametrize("encoded", [True, False])
 def test_reference_gradients_are_those_of_finite_differences(generator, encoded):
-    values = [value.requires_grad_() for value in surface(3, generator)]
-    alpha = torch.tensor([[0.2], [1.0], [0.9 / 255]], dtype=torch.float64, requires_grad=True)
+    surface, view = make_points(3, generator)
+    alpha = torch.tensor([[0.2], [1.0], [0.9 / 255]], dtype=torch.float64)
     maps = [torch.rand(6, size, size, 3, generator=generator, dtype=torch.float64) for size in (2, 4, 2)]
     terms = {
         "irradiance": maps[0],
@@ -104,58 +155,71 @@ def test_reference_gradients_are_those_of_finite_differences(generator, encoded)
         "background": torch.full((1, 3), 0.3),
     }
 
-    def run(*values):
-        return tuple(reference.shade_gbuffer(*values, **terms, exposure=1.3, encoded=encoded))
+    def run(view, alpha, *channels):
+        return tuple(
+            reference.shade_gbuffer(Surface(*channels), view, alpha, **terms, exposure=1.3, encoded=encoded)
+        )
 
-    assert torch.autograd.gradcheck(run, (*values, alpha), eps=1e-7, atol=1e-4)
+    inputs = [tensor.requires_grad_() for tensor in (view, alpha, *tensors(surface))]
+    assert torch.autograd.gradcheck(run, inputs, eps=1e-7, atol=1e-4)
+
+
+def test_roughness_gradient_at_and_beyond_the_borders(device, generator):
+    surface, view = single_points(4, generator, device)
+    roughness = torch.tensor([[-0.1], [0.0], [1.0], [1.1]], device=device, requires_grad=True)
+    light = make_light(generator, device, sizes=(4, 8, 4, 4, 4, 4))
+    shaded = shade(replace(surface, roughness=roughness), view, light)
+    grads = torch.autograd.grad(shaded.color.sum(), roughness)[0].flatten() != 0
+    assert grads.tolist() == [False, True, True, False]
 
 
 def test_what_nothing_covers_shows_the_background_and_moves_alpha_alone(device, generator):
-    values = [value.float().to(device).requires_grad_() for value in surface(3, generator)]
-    maps = [torch.rand(6, 4, 4, 3, generator=generator).to(device).requires_grad_() for _ in range(6)]
+    surface, view = single_points(3, generator, device)
+    light = make_light(generator, device)
     alpha = torch.tensor([[0.0], [0.9 / 255], [0.9 / 255]], device=device, requires_grad=True)
-    shaded = shade(*values, FilteredLight(maps[0], tuple(maps[1:])), alpha=alpha, background=0.25)
+    shaded = shade(surface, view, light, alpha=alpha, background=0.25)
     assert not any(value.any() for value in (shaded.color, shaded.irradiance, shaded.specular_light))
     assert torch.equal(shaded.image, (0.25 * (1 - alpha)).expand(3, 3))
-    grads = torch.autograd.grad(sum(value.sum() for value in shaded), [*values, *maps, alpha])
+    inputs = [*tensors(surface), view, *maps_of(light), alpha]
+    grads = torch.autograd.grad(sum(value.sum() for value in shaded), inputs)
     assert not any(grad.any() for grad in grads[:-1])
     assert torch.equal(grads[-1], torch.full((3, 1), -0.75, device=device))
 
 
 def test_what_is_covered_no_longer_depends_on_what_is_not(device, generator):
     """Values where nothing is, NaN among them, reach neither the image nor a gradient."""
-    values = [value.float().to(device) for value in surface(8, generator)]
-    maps = [torch.rand(6, 4, 4, 3, generator=generator).to(device).requires_grad_() for _ in range(6)]
+    surface, view = single_points(8, generator, device)
+    light = make_light(generator, device)
     alpha = torch.ones(8, 1, device=device)
     alpha[::2] = 0
-    kept = [value[1::2].requires_grad_() for value in values]
-    spoilt = [
-        value.clone().index_fill_(0, torch.arange(0, 8, 2, device=device), float("nan")).requires_grad_()
-        for value in values
-    ]
-    light = FilteredLight(maps[0], tuple(maps[1:]))
+    even = torch.arange(0, 8, 2, device=device)
+
+    def keep(values):
+        return single(values[1::2], device)
+
+    def spoil(values):
+        return single(values.detach().index_fill(0, even, float("nan")), device)
+
+    kept, spoilt = (surface.map(keep), keep(view)), (surface.map(spoil), spoil(view))
     alone, among = shade(*kept, light), shade(*spoilt, light, alpha=alpha, background=0.0)
     assert torch.equal(among.image[1::2], alone.image)
     assert not among.image[::2].any()
-    grads = torch.autograd.grad(among.image.sum(), [*spoilt, *maps])
-    for grad, wanted in zip(grads, torch.autograd.grad(alone.image.sum(), [*kept, *maps]), strict=True):
-        assert torch.equal(grad if grad.shape == wanted.shape else grad[1::2], wanted)
+    grads, wanted = (
+        torch.autograd.grad(shaded.image.sum(), [*tensors(points), seen, *maps_of(light)])
+        for shaded, (points, seen) in ((among, spoilt), (alone, kept))
+    )
+    for grad, expected in zip(grads, wanted, strict=True):
+        assert torch.equal(grad if grad.shape == expected.shape else grad[1::2], expected)
 
 
 def test_image_is_the_composed_colour(device, generator):
-    values = [value.float().to(device) for value in surface(50, generator)]
-    maps = [torch.rand(6, 4, 4, 3, generator=generator).to(device) for _ in range(6)]
+    surface, view = single_points(50, generator, device)
+    light = make_light(generator, device)
     alpha = torch.rand(50, 1, generator=generator).to(device)
     for color_space in ("srgb", "raw"):
-        shaded = shade(
-            *values,
-            FilteredLight(maps[0], tuple(maps[1:])),
-            alpha=alpha,
-            background=0.5,
-            exposure=2.0,
-            color_space=color_space,
-        )
-        wanted = compose(shaded.color, alpha, 0.5, exposure=2.0, color_space=color_space)
+        options = {"exposure": 2.0, "color_space": color_space}
+        shaded = shade(surface, view, light, alpha=alpha, background=0.5, **options)
+        wanted = compose(shaded.color, alpha, 0.5, **options)
         # A few roundings of values around 1; the curve's power is another one.
         assert torch.allclose(shaded.image, wanted, atol=1e-5)
 
@@ -163,44 +227,51 @@ def test_image_is_the_composed_colour(device, generator):
 def test_borders_of_the_brdf_table_give_the_gradients_of_the_reference(device, generator):
     """Roughness 0 and 1; n . v of 1, grazing, 0 and below."""
     count, options = 8, {"generator": generator, "dtype": torch.float64}
-    normal = torch.nn.functional.normalize(torch.randn(count, 3, **options), dim=-1)
-    across = torch.nn.functional.normalize(
-        torch.linalg.cross(normal, torch.randn(count, 3, **options)), dim=-1
-    )
+    normal = unit(torch.randn(count, 3, **options))
+    across = unit(torch.linalg.cross(normal, torch.randn(count, 3, **options)))
     cosine = torch.tensor([1.0, 1.0, 1e-3, 1e-3, 0.0, 0.0, -0.5, -0.5], dtype=torch.float64)[:, None]
-    values = list(surface(count, generator))
-    values[1], values[6] = normal, cosine * normal + torch.sqrt(1 - cosine**2) * across
-    values[2] = torch.tensor([0.0, 1.0] * 4, dtype=torch.float64)[:, None]
+    roughness = torch.tensor([0.0, 1.0] * 4, dtype=torch.float64)[:, None]
+    surface, _ = make_points(count, generator)
+
+    def as_single(values):
+        return values.float().double()
+
+    surface = replace(surface, normal=normal, roughness=roughness).map(as_single)
+    view = as_single(cosine * normal + torch.sqrt(1 - cosine**2) * across)
     # Light without a slope leaves the table's slopes alone; single precision decides on which side of 1 and 0
     # n . v lies.
-    maps = [torch.ones(6, 2, 2, 3, dtype=torch.float64)] * 6
-    values = [value.float().double().requires_grad_() for value in values]
-    alpha, brdf = torch.ones(count, 1, dtype=torch.float64), brdf_table(torch.device("cpu"))
-    terms = {"irradiance": maps[0], "mips": tuple(maps[1:]), "brdf": brdf, "background": torch.zeros(1, 3)}
-    wanted = torch.autograd.grad(
-        reference.shade_gbuffer(*values, alpha, **terms).color.sum(), (values[2], values[3])
-    )
-    inner = [value.detach().float().to(device).requires_grad_() for value in values]
-    light = FilteredLight(maps[0].float().to(device), tuple(mip.float().to(device) for mip in maps[1:]))
-    grads = torch.autograd.grad(shade(*inner, light).color.sum(), inner)
+    light = FilteredLight(*(lambda one: (one, (one,) * 5))(torch.ones(6, 2, 2, 3, device=device)))
+    twin = surface.map(lambda values: values.clone().requires_grad_())
+    wanted = reference.shade_gbuffer(
+        twin,
+        view,
+        torch.ones(count, 1, dtype=torch.float64),
+        irradiance=light.irradiance.cpu().double(),
+        mips=tuple(mip.cpu().double() for mip in light.specular),
+        brdf=brdf_table(torch.device("cpu")),
+        background=torch.zeros(1, 3),
+    ).color
+    surface = surface.map(lambda values: single(values, device))
+    found = shade(surface, single(view, device), light).color
+    grads = torch.autograd.grad(found.sum(), tensors(surface), retain_graph=True)
     assert all(grad.isfinite().all() for grad in grads)
-    for grad, expected in zip((grads[2], grads[3]), wanted, strict=True):
-        assert torch.allclose(grad.cpu().double(), expected, rtol=1e-3, atol=2e-3)
+    for name in ("roughness", "specular"):
+        (grad,) = torch.autograd.grad(found.sum(), getattr(surface, name), retain_graph=True)
+        (expected,) = torch.autograd.grad(wanted.sum(), getattr(twin, name), retain_graph=True)
+        assert torch.allclose(grad.cpu().double(), expected, rtol=1e-3, atol=2e-3), name
 
 
 def test_same_bits_for_any_number_of_threads(device, generator, use_threads):
-    values = [value.float().to(device).requires_grad_() for value in surface(9000, generator)]
-    alpha = coverage(9000, generator).float().to(device).requires_grad_()
-    maps = [
-        torch.rand(6, size, size, 3, generator=generator).to(device).requires_grad_()
-        for size in (16, 32, 16, 8, 4, 4)
-    ]
+    surface, view = single_points(9000, generator, device)
+    alpha = single(coverage(9000, generator), device)
+    light = make_light(generator, device, sizes=(16, 32, 16, 8, 4, 4))
+    inputs = [*tensors(surface), view, alpha, *maps_of(light)]
 
     def run():
-        result = shade(*values, FilteredLight(maps[0], tuple(maps[1:])), alpha=alpha)
+        result = shade(surface, view, light, alpha=alpha)
         loss = sum(value.square().sum() for value in result)
-        first = torch.autograd.grad(loss, [*values, alpha, *maps], retain_graph=True)
-        second = torch.autograd.grad(loss, [*values, alpha, *maps])
+        first = torch.autograd.grad(loss, inputs, retain_graph=True)
+        second = torch.autograd.grad(loss, inputs)
         assert all(torch.equal(a, b) for a, b in zip(first, second, strict=True))
         return *result, *first
 
@@ -211,62 +282,96 @@ def test_same_bits_for_any_number_of_threads(device, generator, use_threads):
     assert all(torch.equal(a, b) for a, b in zip(one, two, strict=True))
 
 
-def test_zero_normals_see_nothing_and_send_no_nan(device):
-    values = [torch.zeros(2, n, device=device, requires_grad=True) for n in (3, 3, 1, 1, 1, 1, 3)]
-    maps = [torch.rand(6, 4, 4, 3, device=device, requires_grad=True) for _ in range(6)]
-    shaded = shade(*values, FilteredLight(maps[0], tuple(maps[1:])))
-    grads = torch.autograd.grad(shaded.color.sum(), [*values, *maps])
+def test_zero_normals_see_nothing_and_send_no_nan(device, generator):
+    surface, view = single_points(2, generator, device)
+    surface, view = surface.map(lambda values: single(0 * values, device)), single(0 * view, device)
+    light = make_light(generator, device)
+    shaded = shade(surface, view, light)
+    grads = torch.autograd.grad(shaded.color.sum(), [*tensors(surface), view, *maps_of(light)])
     assert not shaded.color.any()
     assert all(grad.isfinite().all() for grad in grads)
 
 
-def test_no_points(device):
-    light = FilteredLight(torch.ones(6, 2, 2, 3, device=device), (torch.ones(6, 2, 2, 3, device=device),) * 5)
-    assert shade(*(torch.empty(0, n, device=device) for n in (3, 3, 1, 1, 1, 1, 3)), light).color.shape == (
-        0,
-        3,
-    )
+def test_no_points(device, generator):
+    surface, view = single_points(0, generator, device)
+    assert shade(surface, view, make_light(generator, device)).color.shape == (0, 3)
 
 
-def test_wrong_shapes_are_refused():
-    light = FilteredLight(torch.ones(6, 2, 2, 3), (torch.ones(6, 2, 2, 3),) * 5)
-    with pytest.raises(UserError, match="roughness"):
-        shade(
-            torch.ones(4, 3),
-            torch.ones(4, 3),
-            torch.ones(4),
-            *(torch.ones(4, 1),) * 3,
-            torch.ones(4, 3),
-            light,
+SPOILT = {
+    "too few": lambda tensor: tensor[:-1],
+    "flat": lambda tensor: tensor[..., 0],
+    "too wide": lambda tensor: torch.cat([tensor, tensor], dim=-1),
+    "double": lambda tensor: tensor.double(),
+    "elsewhere": lambda tensor: tensor.to("meta"),
+    "no tensor": lambda tensor: tensor.detach().numpy(),
+}
+
+
+@pytest.mark.parametrize("spoil", SPOILT.values(), ids=SPOILT)
+@pytest.mark.parametrize("name", [*CHANNELS, "view", "alpha", "irradiance", "mips[1]", "brdf", "background"])
+def test_every_input_is_checked(generator, name, spoil):
+    """A kernel would read past the end of what is too short, and into another device's memory."""
+    cpu = torch.device("cpu")
+    surface, view = single_points(4, generator, cpu)
+    light = make_light(generator, cpu, sizes=(4, 4, 2))
+    inputs = {**surface.channels(), "view": view, "alpha": torch.ones(4, 1), "background": torch.ones(4, 3)}
+    inputs |= {"irradiance": light.irradiance, "mips[1]": light.specular[1], "brdf": brdf_table(cpu)}
+    given = {**inputs, name: spoil(inputs[name])}
+    # the first channel says how many points there are and where: it may be the second that differs
+    blamed = "albedo|normal" if name == "albedo" else re.escape(name)
+    with pytest.raises(UserError, match=f"^({blamed}): expected "):
+        shade_gbuffer(
+            Surface(**{name: given[name] for name in CHANNELS}),
+            given["view"],
+            given["alpha"],
+            irradiance=given["irradiance"],
+            mips=(light.specular[0], given["mips[1]"]),
+            brdf=given["brdf"],
+            background=given["background"],
         )
-    values = (torch.ones(4, 3), torch.ones(4, 3), *(torch.ones(4, 1),) * 4, torch.ones(4, 3), light)
-    with pytest.raises(UserError, match="alpha"):
-        shade(*values, alpha=torch.ones(4))
-    with pytest.raises(UserError, match="background"):
-        shade(*values, background=torch.ones(3))
-    with pytest.raises(UserError, match=r"light\.irradiance: .* found float64"):
-        shade(*values[:-1], FilteredLight(light.irradiance.double(), light.specular))
-    with pytest.raises(UserError, match=r"light\.irradiance: expected square"):
-        shade(*values[:-1], FilteredLight(torch.ones(6, 2, 4, 3), light.specular))
-    with pytest.raises(UserError, match=r"light\.specular\[2\]: .* found float32 \(6, 2, 2, 4\)"):
-        shade(*values[:-1], FilteredLight(light.irradiance, (*light.specular[:2], torch.ones(6, 2, 2, 4))))
+
+
+def test_maps_that_are_no_cubes_are_refused(generator):
+    surface, view = single_points(4, generator, torch.device("cpu"))
+    cube, oblong = torch.ones(6, 2, 2, 3), torch.ones(6, 2, 4, 3)
+    with pytest.raises(UserError, match=r"irradiance: expected square"):
+        shade(surface, view, FilteredLight(oblong, (cube,)))
+    with pytest.raises(UserError, match=r"mips\[2\]: expected square"):
+        shade(surface, view, FilteredLight(cube, (cube, cube, oblong)))
+    with pytest.raises(UserError, match="mips: expected at least one"):
+        shade(surface, view, FilteredLight(cube, ()))
+    options = {"irradiance": cube, "mips": (cube,), "background": torch.ones(1, 3)}
+    for brdf in (torch.ones(8, 7, 2), torch.ones(1, 1, 2)):
+        with pytest.raises(UserError, match="brdf: expected as many rows as columns"):
+            shade_gbuffer(surface, view, torch.ones(4, 1), **options, brdf=brdf)
 
 
 @pytest.mark.parametrize("background", [1, True])
 def test_whole_numbers_are_backgrounds_and_exposures_as_well(device, generator, background):
-    values = [value.float().to(device) for value in surface(5, generator)]
-    light = FilteredLight(torch.ones(6, 2, 2, 3, device=device), (torch.ones(6, 2, 2, 3, device=device),) * 2)
+    surface, view = single_points(5, generator, device)
+    light = make_light(generator, device, sizes=(2, 2, 2))
     alpha = torch.linspace(0, 1, 5, device=device)[:, None]
-    found = shade(*values, light, alpha=alpha, background=background, exposure=2)
-    assert torch.equal(found.image, shade(*values, light, alpha=alpha, background=1.0, exposure=2.0).image)
+    found = shade(surface, view, light, alpha=alpha, background=background, exposure=2)
+    wanted = shade(surface, view, light, alpha=alpha, background=1.0, exposure=2.0)
+    assert torch.equal(found.image, wanted.image)
+
+
+def test_one_background_for_all_points_is_the_same_for_each(device, generator):
+    surface, view = single_points(5, generator, device)
+    light, alpha = make_light(generator, device), torch.linspace(0, 1, 5, device=device)[:, None]
+    one = torch.tensor([[0.2, 0.4, 0.6]], device=device)
+    found = shade(surface, view, light, alpha=alpha, background=one)
+    wanted = shade(surface, view, light, alpha=alpha, background=one.expand(5, 3))
+    assert torch.equal(found.image, wanted.image)
 
 
 def test_the_background_is_a_constant(device, generator):
-    values = [value.float().to(device) for value in surface(5, generator)]
-    light = FilteredLight(torch.ones(6, 2, 2, 3, device=device), (torch.ones(6, 2, 2, 3, device=device),) * 2)
-    assert not shade(
-        *values, light, background=torch.rand(5, 3, device=device, requires_grad=True)
-    ).image.requires_grad
+    surface, view = single_points(5, generator, device)
+    constant = surface.map(torch.Tensor.detach), view.detach()
+    light = make_light(generator, device, sizes=(2, 2, 2))
+    light = FilteredLight(light.irradiance.detach(), tuple(mip.detach() for mip in light.specular))
+    background = torch.rand(5, 3, device=device, requires_grad=True)
+    assert not shade(*constant, light, background=background).image.requires_grad
 
 
 def test_srgb_is_the_standard_and_inverts():

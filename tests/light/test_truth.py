@@ -11,6 +11,7 @@ from samira_warp.bench.light_truth import Panorama, brdf_terms, seen_light
 from samira_warp.io.images import write_exr
 from samira_warp.kernels.cubemap.layout import texel_directions, texel_solid_angles
 from samira_warp.light import Environment, shade
+from samira_warp.surface import Surface
 
 LAMP = torch.tensor([0.48, 0.6, 0.64])
 
@@ -28,11 +29,18 @@ def sphere(count, generator):
 def shade_sphere(light, normal, view, *, albedo=0.0, roughness=0.5, specular=0.04, responses=(1.0, 1.0)):
     """The public path for one material; the result on the CPU, in float64."""
     device, count = light.irradiance.device, len(normal)
-    scalars = [
+    roughness, specular, diffuse, shine = (
         torch.as_tensor(value).expand(count, 1).contiguous() for value in (roughness, specular, *responses)
-    ]
-    surface = (torch.full((count, 3), albedo), normal, *scalars, view)
-    shaded = shade(*(values.to(device) for values in surface), light, color_space="raw")
+    )
+    surface = Surface.of(
+        albedo=torch.full((count, 3), albedo),
+        normal=normal,
+        roughness=roughness,
+        specular=specular,
+        response_diffuse=diffuse,
+        response_specular=shine,
+    ).map(lambda values: values.to(device))
+    shaded = shade(surface, view.to(device), light, color_space="raw")
     return type(shaded)(*(values.cpu().double() for values in shaded))
 
 

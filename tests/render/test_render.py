@@ -110,6 +110,34 @@ def test_albedo_is_encoded_where_shading_is_linear(color_space):
     assert torch.equal(layer_image(rendering, "albedo").picture, alpha * shown + (1 - alpha))
 
 
+CONTRACT = """image albedo normal roughness specular alpha depth response_diffuse response_specular irradiance
+    specular_light residual_position residual_rotation"""
+
+DRAWN = {
+    "normal": (0.5, lambda normal: (normal + 1) / 2),
+    "roughness": (1.0, lambda roughness: roughness),
+    "specular": (1.0, lambda specular: specular),
+    "response_diffuse": (0.5, lambda response: response - 0.5),
+    "response_specular": (0.5, lambda response: response - 0.5),
+}
+"""The grey behind a layer of the surface, and its picture."""
+
+
+def test_layers_are_those_that_are_promised():
+    assert set(CONTRACT.split()) <= set(get_args(Layer))
+
+
+@pytest.mark.parametrize("layer", DRAWN)
+def test_channels_of_the_surface_are_drawn_on_their_grey(layer):
+    avatar = small_avatar()
+    with torch.no_grad():
+        avatar.response_logits.normal_(generator=torch.Generator().manual_seed(0))
+        rendering = avatar.render(parameters(0), camera(32))
+    (grey, picture), alpha = DRAWN[layer], rendering.gbuffer.alpha
+    wanted = alpha * picture(getattr(rendering.gbuffer, layer)) + (1 - alpha) * grey
+    torch.testing.assert_close(layer_image(rendering, layer).picture, wanted, atol=1e-6, rtol=0)
+
+
 def test_rendering_agrees_with_the_runs_own_score(everything, tiny_run, tiny_dataset, capsys):
     capsys.readouterr()
     arguments = ["--pred", str(everything), "--data", str(tiny_dataset)]

@@ -1,8 +1,7 @@
-"""Reading the BRDF table of Eq. pbr_color inside a kernel: bilinear in roughness and the root of n . v, with
-both slopes.
+"""Reading the BRDF table of Eq. pbr_color inside a kernel, with its slopes.
 
-The table (N, N, 2) of (B_x, B_y) has its nodes on the borders: rows by roughness, columns by the root of n .
-v, both from 0 to 1.
+The table (N, N, 2) of (B_x, B_y) has its nodes on the borders: rows by roughness, columns by the root of
+n . v, both from 0 to 1. It is read bilinearly.
 """
 
 from __future__ import annotations
@@ -15,8 +14,9 @@ GRAZING = wp.constant(1e-6)
 
 @wp.struct
 class BrdfPlace:
-    """A point in the BRDF table: the node before it, the place between nodes, and the slopes of both by
-    roughness and n . v.
+    """A point in the BRDF table: the node before it, the place between nodes, and how that moves.
+
+    ``y_slope`` is the derivative of the row by the roughness, ``x_slope`` that of the column by n . v.
     """
 
     row: wp.int32

@@ -1,17 +1,22 @@
-"""The whole deferred pass over a G-buffer in one kernel (Eqs. response_shading, pbr_color and alpha_compose),
-and its adjoint in three.
+"""The whole deferred pass over a G-buffer in one kernel, and its adjoint in three.
 
-Each point is read once, shaded, turned into display values and laid on the background; a point that nothing
-covers is left at once. The adjoint recomputes the pass for each point, and leaves the light's texels to
-`kernels.cubemap_lookup.texel_gradient`.
+Eqs. response_shading, pbr_color and alpha_compose. Each point is read once, shaded, turned into display
+values and laid on the background; a point that nothing covers is left at once. The adjoint recomputes the
+pass for each point, and leaves the light's texels to `kernels.cubemap.lookup.texel_gradient`.
+
+Kernels get their arguments by name: a channel of `samira_warp.surface` is what the parameter of its name
+reads, and its gradient what the parameter called ``grad_`` and its name writes.
 """
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import torch
 import warp as wp
+from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from samira_warp.kernels.cubemap.cell import blend_cell, cell_slope, look_up, read_cell
@@ -27,13 +32,21 @@ from samira_warp.kernels.cubemap.layout import (
 from samira_warp.kernels.cubemap.lookup import level_moves, lower_level, pack_mips, texel_gradient
 from samira_warp.kernels.runtime import launch_range
 from samira_warp.kernels.shading.brdf import brdf_slope_cosine, brdf_slope_roughness, find_brdf, read_brdf
+from samira_warp.kernels.shading.checks import check_background, check_light, check_surface
 from samira_warp.kernels.shading.display import show, show_adjoint
 from samira_warp.support.constants import COVERED_ALPHA
+from samira_warp.support.validation import check_tensor
+from samira_warp.surface import CHANNELS, Surface
 
 _GRAIN = 2048
 """Fewer points than this cost less than handing them to a thread."""
 
 _COVERED = wp.constant(COVERED_ALPHA)
+
+_POINTWISE = (*CHANNELS, "view", "alpha")
+_DIFFERENTIABLE = (*_POINTWISE, "irradiance_map", "mips")
+"""What has a gradient, by its name in the kernels, in the order in which `_Shade` takes it; those above have
+one value a point."""
 
 
 class Shaded(NamedTuple):
@@ -47,26 +60,21 @@ class Shaded(NamedTuple):
             point.
     """
 
-    color: torch.Tensor
-    image: torch.Tensor
-    irradiance: torch.Tensor
-    specular_light: torch.Tensor
+    color: Tensor
+    image: Tensor
+    irradiance: Tensor
+    specular_light: Tensor
 
 
 def shade_gbuffer(
-    albedo: torch.Tensor,
-    normal: torch.Tensor,
-    roughness: torch.Tensor,
-    specular: torch.Tensor,
-    response_diffuse: torch.Tensor,
-    response_specular: torch.Tensor,
-    view: torch.Tensor,
-    alpha: torch.Tensor,
+    surface: Surface,
+    view: Tensor,
+    alpha: Tensor,
     *,
-    irradiance: torch.Tensor,
-    mips: tuple[torch.Tensor, ...],
-    brdf: torch.Tensor,
-    background: torch.Tensor,
+    irradiance: Tensor,
+    mips: tuple[Tensor, ...],
+    brdf: Tensor,
+    background: Tensor,
     exposure: float = 1.0,
     encoded: bool = True,
 ) -> Shaded:
@@ -76,12 +84,8 @@ def shade_gbuffer(
     I = alpha encode(C_fg exposure) + (1 - alpha) background.
 
     Args:
-        albedo: (M, 3) float32, as is all else; linear.
-        normal: (M, 3) unit vectors; a point with a zero normal sees no light and gets no gradient.
-        roughness: (M, 1), clamped to 0 to 1.
-        specular: (M, 1) reflectance f at normal incidence.
-        response_diffuse: (M, 1) tau_d.
-        response_specular: (M, 1) tau_s.
+        surface: Channels (M, width) float32, as is all else. A point with a zero normal sees no light and
+            gets no gradient; roughness is clamped to 0 to 1.
         view: (M, 3) unit vectors to the camera.
         alpha: (M, 1) coverage. Below 1/255 there is no surface: C_fg, L_d and L_s are 0, and only alpha
             itself gets a gradient.
@@ -95,127 +99,105 @@ def shade_gbuffer(
 
     Returns:
         Colours; differentiable in all but ``brdf``, ``background`` and ``exposure``.
+
+    Raises:
+        UserError: A wrong shape, dtype or device.
     """
-    sizes = tuple(mip.shape[1] for mip in mips)
-    surface = (albedo, normal, roughness, specular, response_diffuse, response_specular, view, alpha)
-    options = (brdf, background, irradiance.shape[1], sizes, (exposure, encoded))
-    return Shaded(*_Shade.apply(*surface, irradiance.reshape(-1, 3), pack_mips(mips), *options))
+    check_surface(surface)
+    count, device = len(surface.normal), surface.normal.device
+    check_tensor("view", view, shape=(count, 3), device=device)
+    check_tensor("alpha", alpha, shape=(count, 1), device=device)
+    check_light(irradiance, mips, brdf, device=device)
+    check_background(background, count=count, device=device)
+    differentiable = {
+        **surface.channels(),
+        "view": view,
+        "alpha": alpha,
+        "irradiance_map": irradiance.reshape(-1, 3),
+        "mips": pack_mips(mips),
+    }
+    constants = {"brdf": brdf, "background": background.detach()}
+    options = _Options(irradiance.shape[1], tuple(mip.shape[1] for mip in mips), exposure, encoded)
+    return Shaded(*_Shade.apply(options, constants, *(differentiable[name] for name in _DIFFERENTIABLE)))
+
+
+class _Options(NamedTuple):
+    """What of the pass is no tensor: S of the irradiance map and of each mip, and how colours are shown."""
+
+    size: int
+    sizes: tuple[int, ...]
+    exposure: float
+    encoded: bool
+
+    def arguments(self, device: torch.device) -> dict[str, Any]:
+        """The same by the kernels' names."""
+        return {
+            "size": self.size,
+            "table": mip_table(self.sizes, device),
+            "exposure": self.exposure,
+            "encoded": self.encoded,
+        }
 
 
 class _Shade(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, *inputs: Any) -> tuple[torch.Tensor, ...]:
-        *tensors, size, sizes, display = inputs
-        tensors = [tensor.contiguous() for tensor in tensors]
-        count, device = tensors[0].shape[0], tensors[0].device
-        results = tuple(torch.empty(count, 3, device=device) for _ in Shaded._fields)
-        launch_range(
-            _shade,
-            count,
-            *_by_kernel(tensors),
-            size,
-            mip_table(sizes, device),
-            *display,
-            *results,
-            grain=_GRAIN,
-        )
-        ctx.save_for_backward(*tensors, results[0])
-        ctx.size, ctx.sizes, ctx.display = size, sizes, display
-        return results
+    def forward(
+        ctx: Any, options: _Options, constants: dict[str, Tensor], *differentiable: Tensor
+    ) -> tuple[Tensor, ...]:
+        inputs = dict(zip(_DIFFERENTIABLE, differentiable, strict=True)) | constants
+        inputs = {name: tensor.contiguous() for name, tensor in inputs.items()}
+        view = inputs["view"]
+        shaded = Shaded(*(torch.empty_like(view) for _ in Shaded._fields))
+        given = _by_kernel(inputs) | options.arguments(view.device)
+        _launch(_shade, len(view), given | shaded._asdict())
+        ctx.save_for_backward(*inputs.values(), shaded.color)
+        ctx.names, ctx.options = (*inputs, "color"), options
+        return tuple(shaded)
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, *grads: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
-        *tensors, color = ctx.saved_tensors
-        size, sizes, count, device = ctx.size, ctx.sizes, color.shape[0], color.device
-        (
-            albedo,
-            normal,
-            roughness,
-            specular,
-            response_diffuse,
-            response_specular,
-            view,
-            alpha,
-            irradiance,
-            mips,
-            brdf,
-            background,
-        ) = _by_kernel(tensors)
-        grad_color, grad_image, grad_irradiance, grad_light = (grad.contiguous() for grad in grads)
-        surface = [torch.empty_like(tensor) for tensor in tensors[:8]]
-        to_albedo, to_normal, to_roughness, to_specular, to_diffuse, to_shine, to_view, to_alpha = _by_kernel(
-            surface
+    def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
+        inputs, options = dict(zip(ctx.names, ctx.saved_tensors, strict=True)), ctx.options
+        color = inputs["color"]
+        count, device = len(color), color.device
+        grads = {name: torch.empty_like(inputs[name]) for name in _POINTWISE if f"grad_{name}" in _written()}
+        diffuse = _Lookups.empty(count, 1, device)
+        shine = _Lookups.empty(count, min(2, len(options.sizes)), device)
+        given = options.arguments(device) | _by_kernel(
+            {
+                **inputs,
+                **{f"grad_{name}": grad for name, grad in grads.items()},
+                "grad_radiance": torch.empty_like(color),
+                **{
+                    f"grad_{name}": grad.contiguous()
+                    for name, grad in zip(Shaded._fields, upstream, strict=True)
+                },
+            }
         )
 
-        to_color = torch.empty_like(color)
-        inputs = (color, alpha, background, *ctx.display, grad_color, grad_image)
-        launch_range(_display_adjoint, count, *inputs, to_color, to_alpha, grain=_GRAIN)
-        diffuse, shine = _Lookups.empty(count, 1, device), _Lookups.empty(count, min(2, len(sizes)), device)
-        inputs = (
-            albedo,
-            normal,
-            specular,
-            response_diffuse,
-            alpha,
-            irradiance,
-            size,
-            to_color,
-            grad_irradiance,
-        )
-        launch_range(
-            _diffuse_adjoint,
-            count,
-            *inputs,
-            to_albedo,
-            to_normal,
-            to_specular,
-            to_diffuse,
-            *diffuse,
-            grain=_GRAIN,
-        )
-        inputs = (
-            normal,
-            roughness,
-            specular,
-            response_specular,
-            view,
-            alpha,
-            mips,
-            mip_table(sizes, device),
-            brdf,
-            to_color,
-            grad_light,
-        )
-        launch_range(
-            _specular_adjoint,
-            count,
-            *inputs,
-            to_normal,
-            to_roughness,
-            to_specular,
-            to_shine,
-            to_view,
-            *shine,
-            grain=_GRAIN,
-        )
-        maps = [
-            texel_gradient(lookups.cells, lookups.places, lookups.grads, chain) if wanted else None
-            for lookups, chain, wanted in zip(
-                (diffuse, shine), ((size,), sizes), ctx.needs_input_grad[8:10], strict=True
-            )
-        ]
-        return (*surface, *maps, None, None, None, None, None)
+        # from the image back to C_fg, then through its two terms; the second adds to what the first left
+        _launch(_display_adjoint, count, given)
+        _launch(_diffuse_adjoint, count, given | diffuse._asdict())
+        _launch(_specular_adjoint, count, given | shine._asdict())
+
+        _, _, *needed = ctx.needs_input_grad
+        wanted = dict(zip(_DIFFERENTIABLE, needed, strict=True))
+        if wanted["irradiance_map"]:
+            grads["irradiance_map"] = diffuse.texel_gradient((options.size,))
+        if wanted["mips"]:
+            grads["mips"] = shine.texel_gradient(options.sizes)
+        return None, None, *(grads.get(name) for name in _DIFFERENTIABLE)
 
 
 class _Lookups(NamedTuple):
-    """What the adjoint of M lookups in a chain of maps needs, up to R mips each: see
-    `kernels.cubemap_lookup.texel_gradient`.
+    """What the adjoint of M lookups in a chain of maps leaves for its texels, up to R mips each.
+
+    See `kernels.cubemap.lookup.texel_gradient`; the names are the kernels'.
     """
 
-    grads: torch.Tensor
-    cells: torch.Tensor
-    places: torch.Tensor
+    grad_lookup: Tensor
+    cells: Tensor
+    places: Tensor
 
     @classmethod
     def empty(cls, count: int, slots: int, device: torch.device) -> _Lookups:
@@ -225,10 +207,36 @@ class _Lookups(NamedTuple):
             torch.empty(count, slots, 3, device=device),
         )
 
+    def texel_gradient(self, sizes: tuple[int, ...]) -> Tensor:
+        """(T, 3) gradient of the chain's texels."""
+        return texel_gradient(self.cells, self.places, self.grad_lookup, sizes)
 
-def _by_kernel(tensors: list[torch.Tensor] | tuple[torch.Tensor, ...]) -> list[torch.Tensor]:
+
+@functools.cache
+def _written() -> frozenset[str]:
+    """The parameters of the adjoint's kernels: a gradient that is none of them is zero."""
+    adjoints = (_display_adjoint, _diffuse_adjoint, _specular_adjoint)
+    return frozenset(name for kernel in adjoints for name in _parameters(kernel))
+
+
+def _by_kernel(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
     """The same tensors with the columns (M, 1) as (M,), as the kernels take them."""
-    return [tensor.view(-1) if tensor.dim() == 2 and tensor.shape[1] == 1 else tensor for tensor in tensors]
+    return {
+        name: tensor.view(-1) if tensor.dim() == 2 and tensor.shape[1] == 1 else tensor
+        for name, tensor in tensors.items()
+    }
+
+
+def _launch(kernel: wp.Kernel, count: int, values: Mapping[str, Any]) -> None:
+    """Run a kernel over points with the values that its parameters are named after."""
+    launch_range(kernel, count, *(values[name] for name in _parameters(kernel)), grain=_GRAIN)
+
+
+@functools.cache
+def _parameters(kernel: wp.Kernel) -> tuple[str, ...]:
+    """The names of a kernel's parameters after ``first``."""
+    _, *parameters = kernel.adj.args
+    return tuple(parameter.label for parameter in parameters)
 
 
 @wp.func
@@ -267,20 +275,29 @@ def _shade(
     irradiance: wp.array[wp.vec3],
     specular_light: wp.array[wp.vec3],
 ) -> None:
+    """The forward pass."""
     m = first + wp.tid()
     n = normal[m]
     rest = (1.0 - alpha[m]) * behind(background, m)
+
+    # nothing covers the point: it shows the background, and no light is looked up
     if not is_lit(alpha[m], n):
         color[m] = wp.vec3()
         image[m] = rest
         irradiance[m] = wp.vec3()
         specular_light[m] = wp.vec3()
         return
+
+    # L_d = tau_d E_d(n)
     cell = footprint(project(n), size)
     diffuse = response_diffuse[m] * blend_cell(cell, read_cell(irradiance_map, 0, cell, size))
+
+    # L_s = tau_s E_s(r, rho), r the view mirrored at the normal
     cosine = wp.dot(n, view[m])
     level = roughness[m] * wp.float32(table.shape[0] - 1)
     light = response_specular[m] * look_up(mips, table, project(2.0 * cosine * n - view[m]), level)
+
+    # C_fg = a (1 - f) L_d + L_s (f B_x + B_y), and its display values on the background
     b = read_brdf(brdf, find_brdf(roughness[m], cosine, brdf.shape[0]))
     radiance = (1.0 - specular[m]) * wp.cw_mul(albedo[m], diffuse) + (specular[m] * b[0] + b[1]) * light
     color[m] = radiance
@@ -292,25 +309,27 @@ def _shade(
 @wp.kernel(enable_backward=False)
 def _display_adjoint(
     first: wp.int32,
-    color: wp.array[wp.vec3],
     alpha: wp.array[wp.float32],
     background: wp.array[wp.vec3],
     exposure: wp.float32,
     encoded: wp.bool,
-    upstream_color: wp.array[wp.vec3],
-    grad_image: wp.array[wp.vec3],
+    color: wp.array[wp.vec3],
     grad_color: wp.array[wp.vec3],
+    grad_image: wp.array[wp.vec3],
+    grad_radiance: wp.array[wp.vec3],
     grad_alpha: wp.array[wp.float32],
 ) -> None:
-    """Adjoint of I = alpha encode(C exposure) + (1 - alpha) background, added to what flows into C from
-    elsewhere.
+    """Adjoint of I = alpha encode(C_fg exposure) + (1 - alpha) background.
+
+    ``grad_radiance`` is all that flows into C_fg: what comes from the image, and ``grad_color``, what came
+    to C_fg itself.
     """
     m = first + wp.tid()
     if alpha[m] < _COVERED:
-        grad_color[m] = wp.vec3()
+        grad_radiance[m] = wp.vec3()
         grad_alpha[m] = -wp.dot(behind(background, m), grad_image[m])
         return
-    grad_color[m] = upstream_color[m] + alpha[m] * show_adjoint(color[m], exposure, encoded, grad_image[m])
+    grad_radiance[m] = grad_color[m] + alpha[m] * show_adjoint(color[m], exposure, encoded, grad_image[m])
     grad_alpha[m] = wp.dot(show(color[m], exposure, encoded) - behind(background, m), grad_image[m])
 
 
@@ -320,42 +339,55 @@ def _diffuse_adjoint(
     albedo: wp.array[wp.vec3],
     normal: wp.array[wp.vec3],
     specular: wp.array[wp.float32],
-    response: wp.array[wp.float32],
+    response_diffuse: wp.array[wp.float32],
     alpha: wp.array[wp.float32],
     irradiance_map: wp.array[wp.vec3],
     size: wp.int32,
-    grad_color: wp.array[wp.vec3],
+    grad_radiance: wp.array[wp.vec3],
     grad_irradiance: wp.array[wp.vec3],
     grad_albedo: wp.array[wp.vec3],
     grad_normal: wp.array[wp.vec3],
     grad_specular: wp.array[wp.float32],
-    grad_response: wp.array[wp.float32],
+    grad_response_diffuse: wp.array[wp.float32],
     grad_lookup: wp.array[wp.vec3],
     cells: wp.array2d[wp.int32],
     places: wp.array2d[wp.vec3],
 ) -> None:
-    """Adjoint of C = a (1 - f) L_d + ..., L_d = tau_d E_d(n)."""
+    """Adjoint of C_fg = a (1 - f) L_d + ..., L_d = tau_d E_d(n).
+
+    ``grad_irradiance`` is what came to L_d itself. Every gradient is written, as 0 where a point has no
+    light; the light's own is left as lookups.
+    """
     m = first + wp.tid()
     n = normal[m]
     if not is_lit(alpha[m], n):
         grad_albedo[m] = wp.vec3()
         grad_normal[m] = wp.vec3()
         grad_specular[m] = 0.0
-        grad_response[m] = 0.0
+        grad_response_diffuse[m] = 0.0
         cells[m, 0] = cell_count(size)
         return
+
+    # forward again: E_d(n)
+    tau = response_diffuse[m]
     point = project(n)
     cell = footprint(point, size)
     texels = read_cell(irradiance_map, 0, cell, size)
     irradiance = blend_cell(cell, texels)
-    grad_l_d = grad_irradiance[m] + (1.0 - specular[m]) * wp.cw_mul(albedo[m], grad_color[m])
-    grad_e_d = response[m] * grad_l_d
-    slope = 0.5 * wp.float32(size) * cell_slope(cell, texels, grad_e_d)
-    grad_product = response[m] * wp.cw_mul(irradiance, grad_color[m])
+
+    # adjoint: from C_fg and L_d to E_d
+    grad_l_d = grad_irradiance[m] + (1.0 - specular[m]) * wp.cw_mul(albedo[m], grad_radiance[m])
+    grad_e_d = tau * grad_l_d
+
+    # to the channels
+    grad_product = tau * wp.cw_mul(irradiance, grad_radiance[m])
     grad_albedo[m] = (1.0 - specular[m]) * grad_product
     grad_specular[m] = -wp.dot(albedo[m], grad_product)
-    grad_response[m] = wp.dot(irradiance, grad_l_d)
+    grad_response_diffuse[m] = wp.dot(irradiance, grad_l_d)
+    slope = 0.5 * wp.float32(size) * cell_slope(cell, texels, grad_e_d)
     grad_normal[m] = project_adjoint(n, point, slope[0], slope[1])
+
+    # to the map
     grad_lookup[m] = grad_e_d
     cells[m, 0] = cell_index(cell, size)
     places[m, 0] = wp.vec3(cell.x, cell.y, 1.0)
@@ -363,9 +395,7 @@ def _diffuse_adjoint(
 
 @wp.struct
 class _Lookup:
-    """A trilinear lookup again: its value E_s, and the gradients by the place on the cube's face and by the
-    level.
-    """
+    """A trilinear lookup again: its value E_s, and the gradients of its place on the face and its level."""
 
     light: wp.vec3
     slope: wp.vec2
@@ -406,25 +436,27 @@ def _specular_adjoint(
     normal: wp.array[wp.vec3],
     roughness: wp.array[wp.float32],
     specular: wp.array[wp.float32],
-    response: wp.array[wp.float32],
+    response_specular: wp.array[wp.float32],
     view: wp.array[wp.vec3],
     alpha: wp.array[wp.float32],
     mips: wp.array[wp.vec3],
-    table: wp.array2d[wp.int32],
     brdf: wp.array2d[wp.vec2],
-    grad_color: wp.array[wp.vec3],
+    table: wp.array2d[wp.int32],
+    grad_radiance: wp.array[wp.vec3],
     grad_specular_light: wp.array[wp.vec3],
     grad_normal: wp.array[wp.vec3],
     grad_roughness: wp.array[wp.float32],
     grad_specular: wp.array[wp.float32],
-    grad_response: wp.array[wp.float32],
+    grad_response_specular: wp.array[wp.float32],
     grad_view: wp.array[wp.vec3],
     grad_lookup: wp.array[wp.vec3],
     cells: wp.array2d[wp.int32],
     places: wp.array2d[wp.vec3],
 ) -> None:
-    """Adjoint of C = ... + L_s (f B_x + B_y), L_s = tau_s E_s(r, rho); adds to the gradients of normal and f
-    that the diffuse part left.
+    """Adjoint of C_fg = ... + L_s (f B_x + B_y), L_s = tau_s E_s(r, rho).
+
+    ``grad_specular_light`` is what came to L_s itself. The gradients of normal and f are added to what
+    `_diffuse_adjoint` left there; the others are written.
     """
     m = first + wp.tid()
     n = normal[m]
@@ -433,32 +465,41 @@ def _specular_adjoint(
     levels = table.shape[0]
     if not is_lit(alpha[m], n):
         grad_roughness[m] = 0.0
-        grad_response[m] = 0.0
+        grad_response_specular[m] = 0.0
         grad_view[m] = wp.vec3()
         for slot in range(cells.shape[1]):
             cells[m, slot] = table[levels - 1, 2] + cell_count(table[levels - 1, 0])
         return
+
+    # forward again: B_x and B_y, which weigh the gradient that the light gets
+    tau = response_specular[m]
     cosine = wp.dot(n, v)
     place = find_brdf(roughness[m], cosine, brdf.shape[0])
     b = read_brdf(brdf, place)
-    grad_l_s = grad_specular_light[m] + (f * b[0] + b[1]) * grad_color[m]
-    grad_e_s = response[m] * grad_l_s
 
+    # adjoint: from C_fg and L_s to E_s
+    grad_l_s = grad_specular_light[m] + (f * b[0] + b[1]) * grad_radiance[m]
+    grad_e_s = tau * grad_l_s
+
+    # through the lookup, whose value comes along; this notes the gradient of the mips
     r = 2.0 * cosine * n - v
     point = project(r)
     level = roughness[m] * wp.float32(levels - 1)
     seen = _look_up_again(mips, table, point, level, grad_e_s, m, cells, places)
     light = seen.light
     grad_r = project_adjoint(r, point, seen.slope[0], seen.slope[1])
+    grad_lookup[m] = grad_e_s
 
-    grad_factor = response[m] * wp.dot(light, grad_color[m])
+    # through the factor f B_x + B_y, and through r, to n . v
+    grad_factor = tau * wp.dot(light, grad_radiance[m])
     grad_b = wp.vec2(f * grad_factor, grad_factor)
     grad_cosine = wp.dot(brdf_slope_cosine(brdf, place), grad_b) + 2.0 * wp.dot(grad_r, n)
+
+    # to the channels and the view
     grad_roughness[m] = wp.dot(brdf_slope_roughness(brdf, place), grad_b)
     if level_moves(level, levels):
         grad_roughness[m] += wp.float32(levels - 1) * seen.grad_level
     grad_specular[m] += b[0] * grad_factor
-    grad_response[m] = wp.dot(light, grad_l_s)
+    grad_response_specular[m] = wp.dot(light, grad_l_s)
     grad_normal[m] += 2.0 * cosine * grad_r + grad_cosine * v
     grad_view[m] = grad_cosine * n - grad_r
-    grad_lookup[m] = grad_e_s

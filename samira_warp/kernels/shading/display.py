@@ -1,5 +1,4 @@
-"""From linear radiance to display values inside a kernel: exposure, the sRGB curve and Eq. alpha_compose, and
-their slopes.
+"""From linear radiance to display values inside a kernel: exposure, the sRGB curve, and its slope.
 
 `samira_warp.light.color` says the same in torch.
 """

@@ -1,52 +1,51 @@
-"""Deferred shading in plain torch, for any floating dtype: the specification of
-`kernels.deferred_shading`.
-"""
+"""Deferred shading in plain torch, for any floating dtype: the twin of `kernels.shading.deferred`."""
 
 from __future__ import annotations
 
 import torch
+from torch import Tensor
 
 from samira_warp.kernels.shading.brdf import GRAZING
 from samira_warp.kernels.shading.deferred import Shaded
 from samira_warp.light.color import compose
 from samira_warp.reference.cubemap.layout import sample_cubemap, sample_mips
 from samira_warp.support.constants import COVERED_ALPHA
+from samira_warp.surface import Surface
 
 
 def shade_gbuffer(
-    albedo: torch.Tensor,
-    normal: torch.Tensor,
-    roughness: torch.Tensor,
-    specular: torch.Tensor,
-    response_diffuse: torch.Tensor,
-    response_specular: torch.Tensor,
-    view: torch.Tensor,
-    alpha: torch.Tensor,
+    surface: Surface,
+    view: Tensor,
+    alpha: Tensor,
     *,
-    irradiance: torch.Tensor,
-    mips: tuple[torch.Tensor, ...],
-    brdf: torch.Tensor,
-    background: torch.Tensor,
+    irradiance: Tensor,
+    mips: tuple[Tensor, ...],
+    brdf: Tensor,
+    background: Tensor,
     exposure: float = 1.0,
     encoded: bool = True,
 ) -> Shaded:
-    """See `kernels.deferred_shading.shade_gbuffer`; normals are not zero."""
+    """See `kernels.shading.deferred.shade_gbuffer`; normals are not zero."""
+    normal, f = surface.normal, surface.specular
     cosine = (normal * view).sum(dim=-1, keepdim=True)
     reflected = 2 * cosine * normal - view
     covered = alpha >= COVERED_ALPHA
-    diffuse = covered * response_diffuse * sample_cubemap(irradiance, normal)
-    light = covered * response_specular * sample_mips(mips, reflected, roughness[:, 0] * (len(mips) - 1))
-    scale, bias = lookup_brdf(brdf, roughness, cosine)
-    color = albedo * (1 - specular) * diffuse + light * (specular * scale + bias)
+    level = surface.roughness[:, 0] * (len(mips) - 1)
+    diffuse = covered * surface.response_diffuse * sample_cubemap(irradiance, normal)
+    light = covered * surface.response_specular * sample_mips(mips, reflected, level)
+    scale, bias = lookup_brdf(brdf, surface.roughness, cosine)
+    color = surface.albedo * (1 - f) * diffuse + light * (f * scale + bias)
     image = compose(color, alpha, background, exposure=exposure, color_space="srgb" if encoded else "raw")
     return Shaded(color, image, diffuse, light)
 
 
-def lookup_brdf(
-    brdf: torch.Tensor, roughness: torch.Tensor, cosine: torch.Tensor
-) -> tuple[torch.Tensor, torch.Tensor]:
-    """B_x and B_y, each (M, 1), bilinear in the table (N, N, 2), at ``roughness`` and ``cosine`` = n . v, (M,
-    1), clamped to [0, 1].
+def lookup_brdf(brdf: Tensor, roughness: Tensor, cosine: Tensor) -> tuple[Tensor, Tensor]:
+    """B_x and B_y, each (M, 1), bilinear in a table of nodes.
+
+    Args:
+        brdf: (N, N, 2).
+        roughness: (M, 1), clamped to [0, 1].
+        cosine: (M, 1) n . v, likewise.
     """
     nodes = brdf.shape[0]
     table = brdf.to(roughness.dtype).view(-1, 2)
