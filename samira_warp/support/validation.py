@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import torch
+from torch import Tensor
 
 from samira_warp.support.errors import UserError
 
 
 def check_tensor(
     name: str,
-    tensor: torch.Tensor,
+    tensor: Tensor,
     *,
-    shape: Sequence[int | str],
+    shape: tuple[int | str, ...],
     dtype: torch.dtype | None = torch.float32,
     device: torch.device | None = None,
 ) -> None:
@@ -26,11 +25,12 @@ def check_tensor(
         dtype: The dtype expected, or None for any.
         device: The device expected, or None for any.
     """
-    if isinstance(tensor, torch.Tensor):
-        fits = tensor.dim() == len(shape) and all(
-            want == have or isinstance(want, str) for want, have in zip(shape, tensor.shape, strict=True)
-        )
-        if fits and (dtype is None or tensor.dtype == dtype) and (device is None or tensor.device == device):
+    if isinstance(tensor, Tensor):
+        if (
+            _fits(tensor.shape, shape)
+            and (dtype is None or tensor.dtype == dtype)
+            and (device is None or tensor.device == device)
+        ):
             return
         found = f"{_dtype_name(tensor.dtype)} {tuple(tensor.shape)} on {tensor.device}"
     else:
@@ -39,6 +39,18 @@ def check_tensor(
         f" on {device}" if device else ""
     )
     raise UserError(name, expected=wanted, found=found)
+
+
+def _fits(found: torch.Size, wanted: tuple[int | str, ...]) -> bool:
+    """Whether sizes are those wanted; operators ask this often, so numbers are compared all at once."""
+    if found == wanted:
+        return True
+    if len(found) != len(wanted):
+        return False
+    for size, want in zip(found, wanted, strict=True):
+        if size != want and not isinstance(want, str):
+            return False
+    return True
 
 
 def _dtype_name(dtype: torch.dtype | None) -> str:
