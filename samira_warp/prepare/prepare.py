@@ -44,6 +44,10 @@ def prepare(config: PrepareConfig) -> Path:
     """
     config.check()
     facts = read_facts(config.video)
+    if facts.dynamic_range is not None:
+        _say(
+            f"{config.video} is filmed in {facts.dynamic_range}, of high dynamic range: its frames are turned into sRGB"
+        )
     vhap = None if config.vhap is None else tracking.given_vhap(config.vhap, config.vhap_python)
     wanted = None if config.crop is None else parse_crop(config.crop, width=facts.width, height=facts.height)
     check_root(config.out, ("film", "tracking", "dataset"))

@@ -45,7 +45,8 @@ def test_a_video_that_lies_on_its_side_is_put_upright(video, tmp_path, degrees):
     upright = next(read_pictures(turned)).pixels()
     assert upright.shape == expected.shape
     assert np.abs(upright - expected).max() <= 3.0
-    assert read_facts(turned)[:2] == (upright.shape[1], upright.shape[0])
+    facts = read_facts(turned)
+    assert (facts.width, facts.height) == (upright.shape[1], upright.shape[0])
 
 
 def test_frames_are_cropped_resized_and_numbered(video, tmp_path):
@@ -82,12 +83,14 @@ def test_a_crop_is_never_enlarged(video, tmp_path):
     ],
 )
 def test_fewer_frames_of_a_second(fps, kept):
-    pictures = [Picture(0.2 + number / 25, None) for number in range(12)]  # some videos do not begin at 0
+    pictures = [
+        Picture(0.2 + number / 25, None, None) for number in range(12)
+    ]  # some videos do not begin at 0
     assert [round(25 * (picture.seconds - 0.2)) for picture in thinned(iter(pictures), fps)] == list(kept)
 
 
 def test_uneven_pictures_keep_the_mean_rate():
-    pictures = [Picture(seconds, None) for seconds in (0.0, 0.09, 0.11, 0.19, 0.21, 1.0, 1.01, 1.09)]
+    pictures = [Picture(seconds, None, None) for seconds in (0.0, 0.09, 0.11, 0.19, 0.21, 1.0, 1.01, 1.09)]
     assert [picture.seconds for picture in thinned(iter(pictures), 10.0)] == [0.0, 0.11, 0.21, 1.0, 1.01]
 
 
