@@ -13,9 +13,10 @@ from tqdm import tqdm
 
 from samira_warp.check.findings import Finding, finding_of
 from samira_warp.data import FrameFiles, Listing
+from samira_warp.data.mattes import read_matte
 from samira_warp.data.pictures import key_of, natural, pictures_of, stem_of
 from samira_warp.data.vhap import CANONICAL_FILE
-from samira_warp.io.images import read_image, read_on_white, read_rgba
+from samira_warp.io.images import read_on_white, read_rgba
 from samira_warp.support.errors import UserError
 
 _BATCH = 64
@@ -93,7 +94,7 @@ def _decoded(frame: FrameFiles) -> list[Finding]:
             found.append(finding_of(fault))
     if frame.mask_path is not None:
         try:
-            covered = read_image(frame.mask_path, channels=1).max()
+            covered = read_matte(frame.mask_path).max()
         except UserError as fault:
             return [*found, finding_of(fault)]
         if covered < 0.5:

@@ -8,10 +8,17 @@ import numpy as np
 import torch
 
 from samira_warp.data.frames import FrameFiles
-from samira_warp.io.images import composite_on_white, read_image, read_on_white, read_rgba, resize_box
+from samira_warp.data.mattes import read_matte
+from samira_warp.io.images import composite_on_white, read_on_white, read_rgba, resize_box
 
 BACKGROUND_TOLERANCE = 4.0 / 255.0
 """Uncovered pixels this close to one colour are an export's background; JPEG's rounding stays within it."""
+
+UNCOVERED = 0.02
+"""Coverage above the least of a matte by less than this is none: a network's sigmoid is that far from 0."""
+
+MOST_FLOOR = 0.1
+"""A matte whose least coverage is more than this shows no background: the head fills the frame."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,8 +48,8 @@ def load_pixels(frame: FrameFiles, *, width: int, height: int) -> FramePixels:
     """Decode a frame, lay it on white in display values and box-resize it.
 
     Coverage is the mask file, at the image's size, else the image's alpha channel, else one everywhere. An
-    image with an alpha channel is composited by it; one without was composited by the export, and its
-    background is replaced by white (see ``on_white``).
+    image with an alpha channel is composited by it. Where a mask says that the scene is still behind the
+    head, or the export's background, white takes its place (see ``on_white``).
 
     Args:
         frame: The frame.
@@ -50,18 +57,14 @@ def load_pixels(frame: FrameFiles, *, width: int, height: int) -> FramePixels:
         height: Height of the result, pixels.
 
     Raises:
-        UserError: A file is missing or cannot be decoded.
+        UserError: A file is missing or cannot be decoded, or a mask is none.
     """
-    colour, alpha = read_rgba(frame.image_path)
-    mask = alpha
+    colour, mask = read_rgba(frame.image_path)
+    if mask is not None:
+        colour = composite_on_white(colour, mask)
     if frame.mask_path is not None:
-        mask = resize_box(
-            read_image(frame.mask_path, channels=1)[..., 0], width=colour.shape[1], height=colour.shape[0]
-        )
-    if alpha is not None:
-        colour = composite_on_white(colour, alpha)
-    elif mask is not None:
-        colour = on_white(colour, mask)
+        mask = read_matte(frame.mask_path)
+        colour = on_white(colour, resize_box(mask, width=colour.shape[1], height=colour.shape[0]))
     if mask is None:
         mask = np.ones(colour.shape[:2], np.float32)
     albedo = None if frame.albedo_path is None else read_on_white(frame.albedo_path)
@@ -76,37 +79,37 @@ def load_mask(frame: FrameFiles, *, width: int, height: int) -> torch.Tensor | N
     """(H, W) float32 coverage in 0..1, box-resized: the mask file, else the image's alpha channel, else None.
 
     Raises:
-        UserError: The file is missing or cannot be decoded.
+        UserError: The file is missing or cannot be decoded, or is no mask.
     """
-    mask = (
-        read_rgba(frame.image_path)[1]
-        if frame.mask_path is None
-        else read_image(frame.mask_path, channels=1)[..., 0]
-    )
-    return (
-        None
-        if mask is None
-        else torch.from_numpy(np.ascontiguousarray(resize_box(mask, width=width, height=height)))
-    )
+    path = frame.mask_path
+    mask = read_rgba(frame.image_path)[1] if path is None else read_matte(path)
+    if mask is None:
+        return None
+    return torch.from_numpy(np.ascontiguousarray(resize_box(mask, width=width, height=height)))
 
 
 def on_white(colour: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Replace the background of an opaque image by white.
+    """Replace what is behind the head in an opaque image by white.
 
     Where the uncovered pixels are all of one colour B, the image is m C + (1 - m) B, and adding (1 - m) (1 -
     B) is exact: an image already on white stays as it is. Otherwise the scene is still behind the head, and
-    the mask is the only matte there is.
+    the mask is the only matte there is; the least coverage counts as none, since a network's mattes, a
+    sigmoid as it comes, never quite reach 0.
 
     Args:
         colour: (H, W, 3) display values.
         mask: (H, W) coverage.
     """
-    outside = colour[mask == 0.0]
-    if len(outside) == 0:
-        return colour
-    background = np.median(outside, axis=0)
-    if np.abs(outside - background).max() > BACKGROUND_TOLERANCE:
+    least = mask.min()
+    if least > MOST_FLOOR:  # the head fills the frame
         return composite_on_white(colour, mask)
-    if (background >= 1.0 - BACKGROUND_TOLERANCE).all():
+    uncovered = mask <= least + UNCOVERED
+    outside = colour[uncovered]
+    background = np.median(outside, axis=0)
+    # the head's own share in such a pixel
+    tolerance = BACKGROUND_TOLERANCE + mask[uncovered, None]
+    if (np.abs(outside - background) > tolerance).any():
+        return composite_on_white(colour, (mask - least) / (1.0 - least))
+    if (background >= 1.0 - BACKGROUND_TOLERANCE - least).all():
         return colour
     return colour + (1.0 - mask[..., None]) * (1.0 - background)

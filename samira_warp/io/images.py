@@ -16,6 +16,11 @@ _FONT_SHARE, _BASELINE = 0.75, 0.75
 """Size of letters in a line of text, and where they stand, as shares of its height: room for what hangs
 below."""
 
+_FLOATS = (oiio.HALF, oiio.FLOAT, oiio.DOUBLE)
+
+_LYING = (5, 6, 7, 8)
+"""EXIF's orientations of pictures whose rows are stored as columns."""
+
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 
@@ -26,22 +31,25 @@ class Channels(NamedTuple):
         pixels: (H, W, C) float32: display values in 0..1 of files of whole numbers, the stored values of
             floating-point files.
         names: C names, such as R, G, B, A.
+        full_scale: The whole number that 1 stands for, 255 or 65535; 0 of floating-point files.
     """
 
     pixels: np.ndarray
     names: tuple[str, ...]
+    full_scale: int
 
 
 def image_size(path: Path) -> tuple[int, int]:
-    """(width, height) in pixels, from the header alone.
+    """(width, height) in pixels of an image as it is shown, upright, from the header alone.
 
     Raises:
         UserError: The file is missing or its header is not an image's.
     """
     image = _open(path, whole=False)
-    width, height = image.spec().width, image.spec().height
+    spec = image.spec()
     image.close()
-    return width, height
+    lying = _orientation(spec) in _LYING
+    return (spec.height, spec.width) if lying else (spec.width, spec.height)
 
 
 def is_linear(path: Path) -> bool:
@@ -53,7 +61,7 @@ def is_linear(path: Path) -> bool:
     image = _open(path, whole=False)
     kind = image.spec().format.basetype
     image.close()
-    return kind in (oiio.HALF, oiio.FLOAT, oiio.DOUBLE)
+    return kind in _FLOATS
 
 
 def read_image(path: Path, *, channels: Literal[1, 3]) -> np.ndarray:
@@ -85,8 +93,10 @@ def read_channels(path: Path) -> Channels:
         UserError: The file is missing or cannot be decoded.
     """
     image = _open(path, whole=True)
-    names = tuple(image.spec().channelnames)
-    return Channels(_decode(image, path, oiio.FLOAT), names)
+    spec = image.spec()
+    names, kind = tuple(spec.channelnames), spec.format
+    full_scale = 0 if kind.basetype in _FLOATS else 2 ** (8 * kind.basesize()) - 1
+    return Channels(_upright(_decode(image, path, oiio.FLOAT), spec), names, full_scale)
 
 
 def read_rgba(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
@@ -223,17 +233,41 @@ def _box_weights(old: int, new: int, dtype: np.dtype) -> np.ndarray:
 def _read_colour_and_alpha(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
     """Straight colour (H, W, 1 or 3) and alpha (H, W) or None."""
     image = _open(path, whole=True)
-    alpha_channel = image.spec().alpha_channel
-    pixels = _decode(image, path, oiio.FLOAT)
+    spec = image.spec()
+    pixels = _upright(_decode(image, path, oiio.FLOAT), spec)
     alpha = None
-    if alpha_channel >= 0:
-        alpha = pixels[..., alpha_channel]
-        pixels = np.delete(pixels, alpha_channel, axis=2)
+    if spec.alpha_channel >= 0:
+        alpha = pixels[..., spec.alpha_channel]
+        pixels = np.delete(pixels, spec.alpha_channel, axis=2)
+        if not spec.get_int_attribute("oiio:UnassociatedAlpha"):
+            pixels = _straight(pixels, alpha)
     if pixels.shape[2] not in (1, 3):
         raise UserError(
             path, expected="grey or RGB, with or without alpha", found=f"{pixels.shape[2]} colour channels"
         )
     return pixels, alpha
+
+
+def _straight(colour: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+    """Colours (H, W, C) that a file holds multiplied by alpha (H, W), as EXR does and TIFF may."""
+    covered = alpha[..., None] > 0.0
+    return np.where(covered, colour / np.where(covered, alpha[..., None], 1.0), colour).astype(np.float32)
+
+
+def _orientation(spec: oiio.ImageSpec) -> int:
+    """EXIF's number from 1 to 8; 1 is upright."""
+    number = spec.get_int_attribute("Orientation", 1)
+    return number if 1 <= number <= 8 else 1
+
+
+def _upright(pixels: np.ndarray, spec: oiio.ImageSpec) -> np.ndarray:
+    """Pixels (H, W, C) as they are shown: cameras store what they see and how they were held."""
+    number = _orientation(spec)
+    if number in _LYING:
+        pixels = pixels.swapaxes(0, 1)
+    # which of the eight mirror left and right, and top and bottom, once rows are rows
+    x, y = number in (2, 3, 6, 7), number in (3, 4, 7, 8)
+    return np.ascontiguousarray(pixels[:: -1 if y else 1, :: -1 if x else 1])
 
 
 def _open(path: Path, *, whole: bool) -> oiio.ImageInput:

@@ -11,8 +11,9 @@ import numpy as np
 import torch
 from tqdm import tqdm
 
+from samira_warp.data.mattes import read_matte
 from samira_warp.data.pictures import pictures_of
-from samira_warp.io.images import image_size, read_image, read_rgba, resize_box
+from samira_warp.io.images import image_size, read_image, resize_box
 from samira_warp.prepare.frames import clear_unfinished, write_whole
 from samira_warp.support.devices import DeviceName, pick_device
 from samira_warp.support.errors import UserError
@@ -132,9 +133,7 @@ def copy_mattes(source: Path, frames: dict[str, Path], folder: Path) -> None:
             )
         if (folder / frames[name].name).exists():
             continue
-        alpha = read_rgba(given[name])[1]
-        coverage = read_image(given[name], channels=1)[..., 0] if alpha is None else alpha
-        write_whole(folder / frames[name].name, fitted(coverage, given[name], frames[name]))
+        write_whole(folder / frames[name].name, fitted(read_matte(given[name]), given[name], frames[name]))
 
 
 def write_opaque(frames: dict[str, Path], folder: Path) -> None:

@@ -159,7 +159,7 @@ def turn_of(frame: av.VideoFrame) -> Turn:
     matrix = frame.side_data.get("DISPLAYMATRIX")
     if matrix is None:
         return Turn()
-    a, b, _, c, d = np.frombuffer(cast(SideData, matrix), np.int32)[:5].tolist()
+    a, b, _, c, d = np.frombuffer(memoryview(cast(SideData, matrix)), np.int32)[:5].tolist()
     if abs(a) + abs(d) >= abs(b) + abs(c):
         return Turn(False, a < 0, d < 0)
     return Turn(True, c < 0, b < 0)

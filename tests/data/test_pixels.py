@@ -72,14 +72,17 @@ def test_an_alpha_channel_is_laid_on_white_and_is_the_mask(frame, tmp_path):
 
 
 def test_a_mask_file_outweighs_the_alpha_channel_as_coverage(frame, tmp_path):
+    narrower = np.minimum(ramp(), ramp()[::-1].T)
     write_png(tmp_path / "rgba.png", np.dstack([np.broadcast_to(COLOUR, (32, 32, 3)), ramp()]))
-    write_png(tmp_path / "mask.png", ramp()[:, ::-1])
+    write_png(tmp_path / "mask.png", narrower)
     frame = replace(
         frame, image_path=tmp_path / "rgba.png", mask_path=tmp_path / "mask.png", albedo_path=None
     )
     pixels = load_pixels(frame, **SIZE)
-    np.testing.assert_allclose(pixels.mask.numpy(), ramp()[:, ::-1], atol=LEVEL)
-    np.testing.assert_allclose(pixels.image.numpy(), blend(COLOUR, 1.0, ramp()), atol=2 * LEVEL)
+    np.testing.assert_allclose(pixels.mask.numpy(), narrower, atol=LEVEL)
+    # what the alpha leaves of the picture and the mask does not take for the head is the scene
+    cut_out = blend(blend(COLOUR, 1.0, ramp()), 1.0, narrower)
+    np.testing.assert_allclose(pixels.image.numpy(), cut_out, atol=3 * LEVEL)
 
 
 def test_without_mask_and_alpha_all_is_covered(frame):
@@ -108,9 +111,11 @@ def test_a_scene_behind_the_head_is_cut_away_by_the_mask():
     np.testing.assert_allclose(on_white(scene, mask), blend(scene, 1.0, mask), atol=1e-6)
 
 
-def test_an_image_without_background_stays():
+def test_an_image_without_background_is_cut_by_its_mask():
     scene = np.random.default_rng(0).random((4, 4, 3)).astype(np.float32)
-    assert np.array_equal(on_white(scene, np.full((4, 4), 0.5, np.float32)), scene)
+    assert np.array_equal(on_white(scene, np.ones((4, 4), np.float32)), scene)
+    half = np.full((4, 4), 0.5, np.float32)
+    np.testing.assert_allclose(on_white(scene, half), 0.5 * scene + 0.5, atol=1e-6)
 
 
 def test_an_albedo_with_alpha_is_laid_on_white(frame, tmp_path):
