@@ -19,7 +19,7 @@ class PrepareConfig:
 
     Run the same command again after an interrupt, or after installing what was missing: a stage whose output
     is there is skipped, one that was begun goes on, and all that follow a stage with other inputs are done
-    anew. OUT/dataset is what train reads.
+    anew: with --restart alone where a tracking would be lost. OUT/dataset is what train reads.
     """
 
     video: Positional[Path]
@@ -43,6 +43,8 @@ class PrepareConfig:
     albedo: Path | None = None
     """Folder of albedo images by any intrinsic method, named as OUT/dataset/images or OUT/film/images; some
     may be missing."""
+    restart: bool = False
+    """Make anew what another video or other options ask for, although tracking is lost by it."""
     device: DeviceName = "auto"
     """Where mattes are computed."""
 

@@ -22,13 +22,21 @@ from samira_warp.prepare import albedo, matting, tracking
 from samira_warp.prepare.config import PrepareConfig, parse_crop
 from samira_warp.prepare.crop import Crop, crop_around, find_head, middle
 from samira_warp.prepare.frames import sampled, write_frames
-from samira_warp.prepare.stages import Stage, check_root, file_identity, folder_identity
+from samira_warp.prepare.stages import Stage, check_root, content_of, folder_identity, is_file
 from samira_warp.prepare.video import VideoFacts, read_facts
 from samira_warp.support.errors import UserError
 
 MIDDLE = "the middle, for want of mattes"
 NETWORK, NOTHING = "Robust Video Matting", "nothing"
 """How a square or mattes came about, as the stages' files say it."""
+
+CHANGES = {
+    "crop": "the square (--crop)",
+    "frames": "frames of the same --size and --fps",
+    "mattes": "the mattes",
+    "tracking": "the film",
+}
+"""What has changed where a stage's inputs have, by the stage."""
 
 
 def prepare(config: PrepareConfig) -> Path:
@@ -46,13 +54,15 @@ def prepare(config: PrepareConfig) -> Path:
     facts = read_facts(config.video)
     if facts.dynamic_range is not None:
         _say(
-            f"{config.video} is filmed in {facts.dynamic_range}, of high dynamic range: its frames are turned into sRGB"
+            f"{config.video} is filmed in {facts.dynamic_range}, of high dynamic range: "
+            "its frames are turned into sRGB"
         )
     vhap = None if config.vhap is None else tracking.given_vhap(config.vhap, config.vhap_python)
     wanted = None if config.crop is None else parse_crop(config.crop, width=facts.width, height=facts.height)
     check_root(config.out, ("film", "tracking", "dataset"))
-    config.out.mkdir(parents=True, exist_ok=True)
     preparation = _Preparation(config, facts)
+    preparation.check_video()
+    config.out.mkdir(parents=True, exist_ok=True)
     cropped = preparation.crop(wanted)
     frames = preparation.frames(cropped)
     mattes = preparation.mattes(frames)
@@ -70,18 +80,27 @@ class _Preparation:
         self.images, self.alpha_maps = self.root / "film" / "images", self.root / "film" / "alpha_maps"
         self._matte: matting.Matte | str | None = None
 
+    def check_video(self) -> None:
+        """Refuse to put another video's frames in the place of one's that was prepared here."""
+        before = self._finished("crop").inputs.get("video")
+        if before is None or self.config.restart or is_file(self.config.video, before):
+            return
+        expected = (
+            f"the video that was prepared in {self.root} (or another --out, or --restart to replace it)"
+        )
+        raise UserError(self.config.video, expected=expected, found="another")
+
     def crop(self, asked: Crop | None) -> Stage:
         """Choose the square to keep: the option's, the head's by its mattes, or the middle."""
-        video = file_identity(self.config.video)
-        stage = self._stage("crop", video=video, asked=None if asked is None else list(asked))
         before = self._finished("crop")
-        if asked is None and before.inputs.get("video") == video:
+        same = "video" in before.inputs and is_file(self.config.video, before.inputs["video"])
+        video = before.inputs["video"] if same else content_of(self.config.video)
+        stage = self._stage("crop", video=video, asked=None if asked is None else list(asked))
+        if asked is None and same:
             stage = before
         found = stage.done()
-        if found is None or (
-            found["by"] == MIDDLE and not self._has_mattes() and self._network() is not None
-        ):
-            stage.begin()
+        if found is None or (found["by"] == MIDDLE and self._may_look_again()):
+            self._begin(stage)
             crop, by = (asked, "--crop") if asked is not None else self._head()
             stage.finish({"crop": list(crop), "by": by})
             _say(
@@ -94,7 +113,7 @@ class _Preparation:
         stage = self._stage("frames", crop=cropped.key(), size=self.config.size, fps=self.config.fps)
         found = stage.done()
         if found is None or found["count"] != len(pictures_of(self.images)):
-            stage.begin(self.root / "film")
+            self._begin(stage, self.root / "film")
             crop = Crop(*cropped.done()["crop"])
             options = {"crop": crop, "size": self.config.size, "fps": self.config.fps}
             stage.finish({"count": write_frames(self.config.video, self.facts, self.images, **options)})
@@ -105,7 +124,7 @@ class _Preparation:
         method = self._matting_method(frames)
         stage, pictures = self._stage("mattes", frames=frames.key(), method=method), pictures_of(self.images)
         if stage.done() is None or not self._are_whole(frames):
-            stage.begin(self.alpha_maps)
+            self._begin(stage, self.alpha_maps)
             if self.config.mattes is not None:
                 matting.copy_mattes(self.config.mattes, pictures, self.alpha_maps)
             elif method == NETWORK:
@@ -124,7 +143,7 @@ class _Preparation:
         stage, folder = self._stage("tracking", mattes=mattes.key()), self.root / "tracking"
         if stage.done(folder) is None:
             tracker, log = self._tracker(vhap), self.root / "tracking.log"
-            stage.begin(folder)
+            self._begin(stage, folder)
             replace_folder(folder, lambda fresh: tracking.track(tracker, self.root / "film", fresh, log=log))
             stage.finish({})
         return stage
@@ -134,7 +153,7 @@ class _Preparation:
         stage, folder = self._stage("dataset", tracking=tracked.key()), self.root / "dataset"
         if stage.done(folder) is None:
             tracker, log = self._tracker(vhap), self.root / "dataset.log"
-            stage.begin(folder)
+            self._begin(stage, folder)
             replace_folder(
                 folder, lambda fresh: tracking.export(tracker, self.root / "tracking", fresh, log=log)
             )
@@ -155,12 +174,34 @@ class _Preparation:
             return
         stage = self._stage("albedo", dataset=exported.key(), folder=folder_identity(pictures_of(given)))
         if stage.done(target) is None:
-            stage.begin()
+            self._begin(stage)
             frames = open_listing(dataset).frames
             images = albedo.match_albedo(given, frames)
             replace_folder(target, lambda fresh: albedo.copy_albedo(images, fresh))
             stage.finish({})
             _say(f"{len(images)} of {len(frames)} frames have an albedo image")
+
+    def _begin(self, stage: Stage, *outputs: Path) -> None:
+        """Begin a stage; one whose inputs changed does not take a tracking with it unasked.
+
+        Raises:
+            UserError: It would.
+        """
+        if stage.changed() and self._keeps_tracking() and stage.name in CHANGES:
+            expected = f"{CHANGES[stage.name]} as {self.root / 'tracking'} was made from, or --restart"
+            raise UserError(self.root, expected=expected, found="another, which would have it made anew")
+        stage.begin(*outputs)
+
+    def _is_tracked(self) -> bool:
+        return bool(self._finished("tracking").inputs) and (self.root / "tracking").is_dir()
+
+    def _may_look_again(self) -> bool:
+        """Whether the head can be looked for where it could not before, and nothing hangs on the square."""
+        return not self._has_mattes() and not self._keeps_tracking() and self._network() is not None
+
+    def _keeps_tracking(self) -> bool:
+        """Whether there is a tracking, and nothing was said of making it anew."""
+        return self._is_tracked() and not self.config.restart
 
     def _stage(self, name: str, **inputs: Any) -> Stage:
         return Stage(self.root, name, inputs)
@@ -170,14 +211,16 @@ class _Preparation:
         return self._stage(name, **self._stage(name).finished())
 
     def _matting_method(self, frames: Stage) -> str:
-        """Where mattes come from: the option's folder, else where those of these frames came from, else the
-        network if it can be had.
+        """Where mattes come from.
+
+        The option's folder, else where those of these frames came from, else the network if it can be had.
         """
         if self.config.mattes is not None:
             return f"folder {folder_identity(pictures_of(self.config.mattes))}"
         before = self._finished("mattes").inputs
-        if before.get("frames") == frames.key() and before["method"] != NOTHING and self._are_whole(frames):
-            return before["method"]
+        if before.get("frames") == frames.key() and self._are_whole(frames):
+            if before["method"] != NOTHING or self._keeps_tracking():
+                return before["method"]
         return NOTHING if self._network() is None else NETWORK
 
     def _are_whole(self, frames: Stage) -> bool:

@@ -20,6 +20,9 @@ ORDER = ("crop", "frames", "mattes", "tracking", "dataset", "albedo")
 MARKERS = "stages"
 """Folder of the files."""
 
+_BLOCKS, _BLOCK = 64, 1 << 16
+"""How many pieces of a file are looked at, and their bytes: all of a small one."""
+
 
 @dataclass(frozen=True)
 class Stage:
@@ -45,6 +48,10 @@ class Stage:
         record = self._record()
         whole = record.get("inputs") == self.inputs and all(output.exists() for output in outputs)
         return record.get("result") if whole else None
+
+    def changed(self) -> bool:
+        """Whether the stage was begun before, with other inputs."""
+        return self._record().get("inputs", self.inputs) != self.inputs
 
     def finished(self) -> dict[str, Any]:
         """The inputs that the stage was last finished with, whatever they were; empty if it never was."""
@@ -104,16 +111,28 @@ def check_root(root: Path, outputs: tuple[str, ...]) -> None:
         )
 
 
-def file_identity(path: Path) -> list[str | int]:
-    """What tells a file from another, or from itself after a change, wherever it is moved: its name, size and
-    time.
+def content_of(path: Path) -> str:
+    """What tells a file from another by its content, whatever its name and time say.
+
+    A digest of its size and of blocks from its beginning to its end: a film of hours is not read whole.
     """
-    facts = path.stat()
-    return [path.name, facts.st_size, facts.st_mtime_ns]
+    size = path.stat().st_size
+    digest = hashlib.sha256(str(size).encode())
+    with path.open("rb") as file:
+        for number in range(_BLOCKS):
+            file.seek(max(size - _BLOCK, 0) * number // (_BLOCKS - 1))
+            digest.update(file.read(_BLOCK))
+    return digest.hexdigest()[:16]
+
+
+def is_file(path: Path, identity: object) -> bool:
+    """Whether a file is the one of which a marker speaks; earlier ones hold name, size and time."""
+    if isinstance(identity, list):
+        return identity[:2] == [path.name, path.stat().st_size]
+    return identity == content_of(path)
 
 
 def folder_identity(pictures: dict[str, Path]) -> str:
-    """Digest of the identities of a folder's pictures."""
-    return hashlib.sha256(
-        json.dumps([file_identity(path) for _, path in sorted(pictures.items())]).encode()
-    ).hexdigest()[:16]
+    """Digest of the names and contents of a folder's pictures."""
+    listed = [(name, content_of(path)) for name, path in sorted(pictures.items())]
+    return hashlib.sha256(json.dumps(listed).encode()).hexdigest()[:16]

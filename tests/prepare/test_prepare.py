@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from samira_warp.io.images import read_image, write_png
 from samira_warp.prepare import frames, matting, tracking
 from samira_warp.prepare.__main__ import main
 from samira_warp.prepare.config import PrepareConfig
+from samira_warp.prepare.stages import Stage
 from samira_warp.support.cli import run
 
 CROP = ("--crop", f"{LEFT},{TOP},{SIDE}")
@@ -208,10 +210,13 @@ def test_without_matting_the_middle_is_kept_and_it_is_named(
     listing = open_listing(tmp_path / "out" / "dataset")
     assert listing.frames[0].camera.width == HEIGHT
     assert load_pixels(listing.frames[0], width=HEIGHT, height=HEIGHT).mask.min() == 1.0
-    # with it at last, the head is found and all that follows is made anew
+    # with it at last, a tracking is not thrown away unasked; else the head is found and the rest made anew
     network = Green()
     monkeypatch.setattr(matting, "load_matting", lambda device: network)
+    before = times(tmp_path / "out")
     assert prepare(*arguments) == 0
+    assert times(tmp_path / "out") == before
+    assert prepare(*arguments, "--restart") == 0
     frame = open_listing(tmp_path / "out" / "dataset").frames[0]
     assert frame.camera.width < HEIGHT
     assert load_pixels(frame, width=HEIGHT, height=HEIGHT).mask.min() < 0.1
@@ -225,7 +230,7 @@ def test_mattes_of_another_program_are_kept_once_given(video, vhap, no_network, 
     for path in (out / "film" / "images").iterdir():
         write_png(given / f"{path.stem}.png", np.tri(HEIGHT))
     capsys.readouterr()
-    assert prepare(video, "--out", out, *vhap_options(vhap), "--mattes", given) == 0
+    assert prepare(video, "--out", out, *vhap_options(vhap), "--mattes", given, "--restart") == 0
     mask = load_pixels(open_listing(out / "dataset").frames[5], width=HEIGHT, height=HEIGHT).mask
     assert np.abs(mask.numpy() - np.tri(HEIGHT)).mean() < 0.02
     assert "part of the avatar" not in capsys.readouterr().err
@@ -259,12 +264,77 @@ def test_without_albedo_it_is_named_and_can_be_added(video, vhap, network, albed
 def test_other_options_make_anew_what_follows_from_them(video, vhap, network, tmp_path):
     out = tmp_path / "out"
     assert prepare(video, "--out", out, *vhap_options(vhap), *CROP) == 0
-    assert prepare(video, "--out", out, *vhap_options(vhap), "--size", 24, "--fps", 12.5) == 0
+    assert prepare(video, "--out", out, *vhap_options(vhap), "--size", 24, "--fps", 12.5, "--restart") == 0
     frame, *rest = open_listing(out / "dataset").frames
     assert (frame.camera.width, len(rest)) == (24, 5)
     assert json.loads((out / "stages" / "crop.json").read_text())["result"]["crop"] == [LEFT, TOP, SIDE], (
         "what was given stays"
     )
+
+
+@pytest.mark.parametrize(
+    "options", [("--size", 24), ("--fps", 12.5), ("--crop", "1,1,40"), ("--mattes", "FILM")]
+)
+def test_a_tracking_is_not_lost_unasked(video, vhap, network, tmp_path, capsys, options):
+    out = tmp_path / "out"
+    assert prepare(video, "--out", out, *vhap_options(vhap), *CROP) == 0
+    before = times(out)
+    given = shutil.copytree(out / "film" / "alpha_maps", tmp_path / "mattes")
+    write_png(given / "000003.png", np.ones((32, 32, 1)))
+    (given / "000003.jpg").unlink()
+    options = [given if option == "FILM" else option for option in options]
+    message = refusal(capsys, video, "--out", out, *vhap_options(vhap), *options)
+    assert "--restart" in message
+    assert str(out / "tracking") in message
+    assert times(out) == before
+    assert prepare(video, "--out", out, *vhap_options(vhap)) == 0, "the refused option left nothing behind"
+    assert times(out) == before
+    assert prepare(video, "--out", out, *vhap_options(vhap), *options, "--restart") == 0
+    assert times(out) != before
+
+
+def test_another_video_is_told_by_its_content(video, vhap, network, tmp_path, capsys):
+    out, arguments = tmp_path / "out", (*vhap_options(vhap), *CROP)
+    kept = shutil.copy(video, tmp_path / "film.mp4")
+    assert prepare(kept, "--out", out, *arguments) == 0
+    before = times(out)
+    os.utime(kept, (1, 1))
+    renamed = Path(kept).rename(tmp_path / "renamed.mp4")
+    assert prepare(renamed, "--out", out, *arguments) == 0
+    assert times(out) == before, "a touched or renamed file is the same video"
+    content = bytearray(renamed.read_bytes())
+    content[-1] ^= 1  # of the index's last entry, which is not needed: it decodes as before
+    status = renamed.stat()
+    renamed.write_bytes(content)
+    os.utime(renamed, ns=(status.st_atime_ns, status.st_mtime_ns))
+    message = refusal(capsys, renamed, "--out", out, *arguments)
+    assert "--restart" in message
+    assert times(out) == before
+    assert prepare(renamed, "--out", out, *arguments, "--restart") == 0
+
+
+def test_a_folder_of_an_earlier_version_goes_on(video, vhap, network, tmp_path):
+    """Markers told a video by name, size and time."""
+    out, arguments = tmp_path / "out", (*vhap_options(vhap), *CROP)
+    assert prepare(video, "--out", out, *arguments) == 0
+    marker = json.loads((out / "stages" / "crop.json").read_text())
+    assert isinstance(marker["inputs"]["video"], str)
+    marker["inputs"]["video"] = [video.name, video.stat().st_size, 12345]
+    (out / "stages" / "crop.json").write_text(json.dumps(marker))
+    (out / "tracking" / "kept").touch()
+    # what followed was keyed by the old marker, as it was then
+    for later, before in (
+        ("frames", "crop"),
+        ("mattes", "frames"),
+        ("tracking", "mattes"),
+        ("dataset", "tracking"),
+    ):
+        record = json.loads((out / "stages" / f"{later}.json").read_text())
+        parent = json.loads((out / "stages" / f"{before}.json").read_text())
+        record["inputs"][before] = Stage(out, before, parent["inputs"]).key()
+        (out / "stages" / f"{later}.json").write_text(json.dumps(record))
+    assert prepare(video, "--out", out, *arguments) == 0
+    assert (out / "tracking" / "kept").is_file()
 
 
 def test_an_interrupted_stage_goes_on(video, vhap, network, tmp_path, monkeypatch):
@@ -356,10 +426,9 @@ def test_vhap_that_fails_is_named_by_its_last_line(video, vhap, network, tmp_pat
     arguments = (video, "--out", tmp_path / "out", *vhap_options(vhap), *CROP)
     (vhap / "broken").touch()
     message = refusal(capsys, *arguments)
-    assert (
-        f"{tmp_path / 'out' / 'tracking.log'}: expected VHAP's vhap/track.py to end well, found status 1: ImportError: nvdiffrast"
-        in message
-    )
+    log = tmp_path / "out" / "tracking.log"
+    expected = f"{log}: expected VHAP's vhap/track.py to end well, found status 1: ImportError: nvdiffrast"
+    assert expected in message
     assert "step 2" in (tmp_path / "out" / "tracking.log").read_text()
     (vhap / "broken").unlink()
     (vhap / "empty").touch()
