@@ -6,7 +6,8 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from samira_warp.check.views import View, coverage, faces_before
-from samira_warp.io.images import read_on_white, resize_box
+from samira_warp.data.pixels import read_picture
+from samira_warp.io.images import resize_box
 from samira_warp.stage.contact_sheet import contact_sheet
 from samira_warp.support.errors import UserError
 
@@ -67,7 +68,7 @@ def _picture(view: View, faces: np.ndarray) -> np.ndarray:
     scale = CELL / max(camera.width, camera.height)
     width, height = max(round(camera.width * scale), 1), max(round(camera.height * scale), 1)
     try:
-        picture = resize_box(read_on_white(view.frame.image_path), width=width, height=height)
+        picture = resize_box(read_picture(view.frame), width=width, height=height)
     except UserError:
         picture = np.full((height, width, 3), 0.5, np.float32)
     overlay = mesh_overlay(view, faces, width=width, height=height)

@@ -74,6 +74,7 @@ def open_collecting(root: Path, *, split: str, flame: Path | None) -> Opened:
         with collected_faults() as more:
             sequence = listing = open_sequence(root, split=_ANY_SPLIT, flame=flame)
         faults += more
+    faults += () if listing is None else listing.doubts
     return Opened(listing, sequence, divided, tuple(finding_of(fault) for fault in _telling(root, faults)))
 
 
@@ -89,6 +90,7 @@ def open_checked(root: Path, *, split: str = "dataset", flame: Path | None = Non
     sequence: Sequence | None = None
     with collected_faults() as faults:
         sequence = open_sequence(root, split=split, flame=flame)
+    faults += () if sequence is None else sequence.doubts
     telling = _telling(root, faults)
     if sequence is None or telling:
         first = telling[0]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Iterable
 from concurrent.futures import ThreadPoolExecutor
@@ -16,6 +15,7 @@ from samira_warp.data import FrameFiles, Listing
 from samira_warp.data.mattes import read_matte
 from samira_warp.data.pictures import key_of, natural, pictures_of, stem_of
 from samira_warp.data.vhap import CANONICAL_FILE
+from samira_warp.io.files import read_json
 from samira_warp.io.images import read_on_white, read_rgba
 from samira_warp.support.errors import UserError
 
@@ -51,11 +51,8 @@ def unlisted(listing: Listing) -> list[Finding]:
     named = {key_of(frame.name) for frame in listing.frames}
     for path in listing.root.glob("transforms*.json"):
         try:
-            named |= {
-                key_of(stem_of(entry["file_path"]))
-                for entry in json.loads(path.read_text(encoding="utf-8"))["frames"]
-            }
-        except (OSError, ValueError, KeyError, TypeError):
+            named |= {key_of(stem_of(entry["file_path"])) for entry in read_json(path)["frames"]}
+        except (ValueError, KeyError, TypeError):
             continue
     found = []
     for folder in sorted({frame.image_path.parent for frame in listing.frames}):

@@ -103,7 +103,14 @@ def list_film(film: Film, split: Split, index: FileIndex) -> Listed:
         camera = Camera(held, *film.intrinsics(number, width, height), width=width, height=height)
         key = key_of(picture.stem)
         frame = FrameFiles(
-            picture.stem, timestep, picture, masks.get(key), albedos.get(key), film.paths[number], camera
+            picture.stem,
+            timestep,
+            picture,
+            masks.get(key),
+            albedos.get(key),
+            film.paths[number],
+            camera,
+            None,
         )
         others = [path for path in (frame.mask_path, frame.albedo_path) if path is not None]
         all_of(*(partial(check_shape, path, camera, index, said_by=picture.name) for path in others))

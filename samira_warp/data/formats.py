@@ -10,6 +10,7 @@ from samira_warp.data.hravatar import SCALES, open_hravatar
 from samira_warp.data.imavatar import PARAMETERS, open_imavatar
 from samira_warp.data.index import FileIndex
 from samira_warp.data.metrical_tracker import FRAMES, open_metrical_tracker
+from samira_warp.data.pictures import files_of
 from samira_warp.data.split import Split
 from samira_warp.data.track import Reading
 from samira_warp.data.vhap import CANONICAL_FILE
@@ -62,4 +63,4 @@ def recognise(root: Path) -> Format:
 
 
 def _format_of(root: Path) -> Format | None:
-    return next((kind for kind in FORMATS if any(True for mark in kind.marks for _ in root.glob(mark))), None)
+    return next((kind for kind in FORMATS if any(files_of(root, mark) for mark in kind.marks)), None)

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections import Counter
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import torch
 
+from samira_warp.data.lens import Lens
 from samira_warp.data.split import Split, divide_timesteps
 from samira_warp.geometry.camera import Camera
 from samira_warp.head.model import FrameParameters
@@ -20,13 +22,15 @@ class FrameFiles:
     """One picture of a sequence and the files that belong to it.
 
     Attributes:
-        name: The image file's stem, which outputs are named by.
+        name: The image file's stem, which outputs are named by; its recording's name comes before it where
+            stems repeat.
         timestep: Index of the moment, shared by all cameras that saw it.
         image_path: The picture, laid on a background of one colour or with an alpha channel.
         mask_path: The head's coverage, None where the dataset has none.
         albedo_path: The estimated albedo as display values, None where the frame has none.
         parameters_path: The file of the tracked parameters, which other frames may share.
-        camera: The view at the image file's own size.
+        camera: The view at the image file's own size, through a pinhole.
+        lens: What bends the files' pictures, None where nothing does; they are made straight as they are read.
     """
 
     name: str
@@ -36,6 +40,7 @@ class FrameFiles:
     albedo_path: Path | None
     parameters_path: Path
     camera: Camera
+    lens: Lens | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,6 +62,7 @@ class Listing:
         train: Indices into ``frames``.
         test: Indices into ``frames``; none is in ``train``.
         notes: What a user should know of how the folder was read, a sentence each.
+        doubts: Why its pictures and cameras may not belong together; heads can be driven by it all the same.
     """
 
     root: Path
@@ -66,6 +72,7 @@ class Listing:
     train: tuple[int, ...]
     test: tuple[int, ...]
     notes: tuple[str, ...]
+    doubts: tuple[UserError, ...] = field(default=(), kw_only=True)
 
     @property
     def selected(self) -> tuple[int, ...]:
@@ -96,6 +103,7 @@ def listing_of(
     Raises:
         UserError: Two frames have one name, or a part is empty.
     """
+    frames = _named_apart(frames)
     _check_names(root, frames)
     if split.kind != "dataset" or trains is None:
         rule = split
@@ -120,6 +128,21 @@ def listing_of(
         test=tuple(index for index, (_, train) in enumerate(ordered) if not train),
         notes=notes,
     )
+
+
+def _named_apart(frames: list[FrameFiles]) -> list[FrameFiles]:
+    """Frames of several recordings, whose pictures' names repeat, with their recording's name before theirs.
+
+    A recording is the folder that holds the folder of its pictures, as GaussianAvatars' unions list them.
+    """
+    names = Counter(frame.name for frame in frames)
+    recordings = {frame.image_path.resolve().parent.parent for frame in frames}
+    if max(names.values(), default=1) == 1 or len(recordings) == 1:
+        return frames
+    return [
+        replace(frame, name=f"{frame.image_path.resolve().parent.parent.name}_{frame.name}")
+        for frame in frames
+    ]
 
 
 def _check_names(root: Path, frames: list[FrameFiles]) -> None:

@@ -1,8 +1,9 @@
 """What was read of a dataset's files, kept in the user's cache folder, so that a long sequence opens in
 seconds the second time.
 
-Every file is looked at on every opening; what was read of it counts only while its size and time are the
-same.
+Every file is looked at on every opening; what was read of it counts only while its size, its time and the
+time of its last change are the same. Archives and copies set a file's time as they like; the system alone
+sets that of the change.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from samira_warp.io.images import image_size
 FEWEST_FILES = 1000
 """Fewer are read again as fast as an index of them."""
 
-_VERSION = 1
+_VERSION = 2
 _LARGE = 4096
 _MOST_LARGE = 64
 """Arrays of more numbers than `_LARGE` (offsets of all vertices) are kept once for the files that share them;
@@ -38,6 +39,7 @@ class Stamp(NamedTuple):
     """By which a file is known to be unchanged."""
 
     time: int
+    changed: int
     size: int
 
 
@@ -144,7 +146,7 @@ class FileIndex:
         content = {"version": np.asarray(_VERSION), "sizes/names": np.array(list(self._sizes), np.str_)}
         content["sizes/values"] = np.array(
             [(*stamp, *size) for stamp, size in self._sizes.values()], np.int64
-        ).reshape(-1, 4)
+        ).reshape(-1, 5)
         for number, layout in enumerate(dict.fromkeys(row.layout for row in rows.values())):
             members = {name: row for name, row in rows.items() if row.layout == layout}
             content[f"rows/{number}/layout"] = np.asarray(layout)
@@ -194,4 +196,4 @@ def _stamp(path: Path) -> Stamp | None:
         status = os.stat(path)
     except OSError:
         return None
-    return Stamp(status.st_mtime_ns, status.st_size)
+    return Stamp(status.st_mtime_ns, status.st_ctime_ns, status.st_size)

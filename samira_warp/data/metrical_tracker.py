@@ -10,15 +10,17 @@ The tracker turns the camera about a still head; its rotations are the first two
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from samira_warp.data.film import Film, Intrinsics, list_film
+from samira_warp.data.frames import FrameFiles
 from samira_warp.data.index import FileIndex
 from samira_warp.data.numbers import check_rotation, numbers, stacked
-from samira_warp.data.pictures import key_of, stem_of
+from samira_warp.data.pictures import files_of, key_of, pictures_of, stem_of
 from samira_warp.data.split import Split
 from samira_warp.data.track import Reading, Track, heads_of
 from samira_warp.io.files import read_json
@@ -28,6 +30,11 @@ from samira_warp.support.faults import each
 
 FRAMES = "checkpoint/*.frame"
 """What marks the format."""
+
+IMAGE_FOLDERS = ("images", "image", "input")
+
+SAME_SHAPE = 0.02
+"""Share of a side by which two pictures of one shape may differ, by rounding."""
 
 _Read = tuple[Path, dict[str, np.ndarray]]
 
@@ -42,24 +49,19 @@ def open_metrical_tracker(root: Path, split: Split, index: FileIndex) -> Reading
         UserError: A file is missing or broken, a value has a wrong shape, or no picture belongs to a
             checkpoint.
     """
-    read = each(
-        lambda path: (path, _checked(path, index.arrays(path, _read_frame))), sorted(root.glob(FRAMES))
-    )
+    read = each(lambda path: (path, _checked(path, index.arrays(path, _read_frame))), files_of(root, FRAMES))
     read = each(lambda one: _of_one_person(*one, read[0]), read)
     paths, payloads = ([one[part] for one in read] for part in (0, 1))
     rows = stacked(paths[0].parent, payloads)
     track = _track(paths[0].parent, rows)
 
     def intrinsics(number: int, width: int, height: int) -> Intrinsics:
-        tracked_height, tracked_width = rows["img_size"][number]
-        x, y = width / tracked_width, height / tracked_height
-        matrix = rows["K"][number]
-        return Intrinsics(matrix[0, 0] * x, matrix[1, 1] * y, matrix[0, 2] * x, matrix[1, 2] * y)
+        return _in_picture(rows["K"][number], rows["img_size"][number], width=width, height=height)
 
     film = Film(
         root=root,
         format="metrical-tracker's checkpoints (INSTA)",
-        image_folders=("images", "image", "input"),
+        image_folders=_by_shape(root, rows["img_size"][0], index),
         mask_folders=("fg_masks", "mask", "masks"),
         names=[path.stem for path in paths],
         paths=paths,
@@ -68,8 +70,56 @@ def open_metrical_tracker(root: Path, split: Split, index: FileIndex) -> Reading
         division=_own_division(root),
     )
     listed = list_film(film, split, index)
+    doubts = [
+        doubt
+        for frame, number in zip(listed.listing.frames, listed.numbers, strict=True)
+        if (doubt := _other_shape(frame, rows["img_size"][number])) is not None
+    ]
+    listing = replace(listed.listing, doubts=tuple(doubts))
     track = track.taken(listed.numbers)
-    return Reading(listed.listing, lambda template: heads_of(track, template, listed.pose))
+    return Reading(listing, lambda template: heads_of(track, template, listed.pose))
+
+
+def _in_picture(matrix: np.ndarray, size: np.ndarray, *, width: int, height: int) -> Intrinsics:
+    """The camera of a picture, whose (3, 3) matrix is that of the (height, width) picture that was tracked.
+
+    A picture of another shape shows what the tracker cropped, nobody knows where; the middle is assumed, so
+    that a focal length stays one.
+    """
+    tracked_height, tracked_width = size
+    scale = min(width / tracked_width, height / tracked_height)
+    x, y = (
+        (scale, scale)
+        if _is_cropped(size, width, height)
+        else (width / tracked_width, height / tracked_height)
+    )
+    left, top = 0.5 * (width - x * tracked_width), 0.5 * (height - y * tracked_height)
+    return Intrinsics(matrix[0, 0] * x, matrix[1, 1] * y, matrix[0, 2] * x + left, matrix[1, 2] * y + top)
+
+
+def _is_cropped(size: np.ndarray, width: int, height: int) -> bool:
+    """Whether a picture has another shape than the (height, width) one that was tracked."""
+    return abs(width * size[0] - height * size[1]) > SAME_SHAPE * width * size[0]
+
+
+def _by_shape(root: Path, size: np.ndarray, index: FileIndex) -> tuple[str, ...]:
+    """Folders of pictures, those of the tracked shape first: the tracker leaves its crops in input/."""
+
+    def is_other(name: str) -> bool:
+        picture = next(iter(pictures_of(root / name).values()), None)
+        return picture is None or _is_cropped(size, *index.picture_size(picture))
+
+    return tuple(sorted(IMAGE_FOLDERS, key=is_other))
+
+
+def _other_shape(frame: FrameFiles, size: np.ndarray) -> UserError | None:
+    """The doubt in a frame whose picture is not the one that was tracked."""
+    camera = frame.camera
+    if not _is_cropped(size, camera.width, camera.height):
+        return None
+    tracked = f"{size[1]:g} x {size[0]:g}"
+    expected = f"the tracker's own pictures, of the shape {tracked} (it leaves its crops in input/)"
+    return UserError(frame.image_path, expected=expected, found=f"{camera.width} x {camera.height}")
 
 
 def _track(path: Path, rows: dict[str, np.ndarray]) -> Track:

@@ -20,8 +20,24 @@ def key_of(name: str) -> str:
 
 
 def stem_of(name: str) -> str:
-    """A name without a picture's suffix; other dots belong to it."""
-    return Path(name).stem if Path(name).suffix.lower() in SUFFIXES else Path(name).name
+    """A name without folders and a picture's suffix; other dots belong to it."""
+    path = Path(with_slashes(name))
+    return path.stem if path.suffix.lower() in SUFFIXES else path.name
+
+
+def with_slashes(name: str) -> str:
+    """A path as lists written on Windows name it, in the way that is understood everywhere."""
+    return name.replace("\\", "/")
+
+
+def is_hidden(path: Path) -> bool:
+    """Whether a file is the system's own: archives made on macOS bring a ._NAME beside every NAME."""
+    return path.name.startswith(".")
+
+
+def files_of(root: Path, pattern: str) -> list[Path]:
+    """Files of a pattern, sorted by path, without the hidden ones."""
+    return sorted(path for path in root.glob(pattern) if not is_hidden(path))
 
 
 def natural(name: str) -> tuple[tuple[int, int, str], ...]:

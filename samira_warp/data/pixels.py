@@ -61,13 +61,16 @@ def load_pixels(frame: FrameFiles, *, width: int, height: int) -> FramePixels:
     """
     colour, mask = read_rgba(frame.image_path)
     if mask is not None:
+        mask = _straight(frame, mask)
+    colour = _straight(frame, colour)
+    if mask is not None:
         colour = composite_on_white(colour, mask)
     if frame.mask_path is not None:
-        mask = read_matte(frame.mask_path)
+        mask = _straight(frame, read_matte(frame.mask_path))
         colour = on_white(colour, resize_box(mask, width=colour.shape[1], height=colour.shape[0]))
     if mask is None:
         mask = np.ones(colour.shape[:2], np.float32)
-    albedo = None if frame.albedo_path is None else read_on_white(frame.albedo_path)
+    albedo = None if frame.albedo_path is None else _straight(frame, read_on_white(frame.albedo_path))
 
     def at_size(array: np.ndarray) -> torch.Tensor:
         return torch.from_numpy(np.ascontiguousarray(resize_box(array, width=width, height=height)))
@@ -85,7 +88,22 @@ def load_mask(frame: FrameFiles, *, width: int, height: int) -> torch.Tensor | N
     mask = read_rgba(frame.image_path)[1] if path is None else read_matte(path)
     if mask is None:
         return None
+    mask = _straight(frame, mask)
     return torch.from_numpy(np.ascontiguousarray(resize_box(mask, width=width, height=height)))
+
+
+def read_picture(frame: FrameFiles) -> np.ndarray:
+    """(H, W, 3) float32 display values of a frame's picture, whatever is behind the head, on white if nothing.
+
+    Raises:
+        UserError: The file is missing or cannot be decoded.
+    """
+    return _straight(frame, read_on_white(frame.image_path))
+
+
+def _straight(frame: FrameFiles, pixels: np.ndarray) -> np.ndarray:
+    """A frame's file as a pinhole would show it."""
+    return pixels if frame.lens is None else frame.lens.straightened(pixels, frame.camera)
 
 
 def on_white(colour: np.ndarray, mask: np.ndarray) -> np.ndarray:

@@ -62,6 +62,7 @@ def open_sequence(root: Path, *, split: str = "dataset", flame: Path | None = No
         train=listing.train,
         test=listing.test,
         notes=(*listing.notes, *heads.notes),
+        doubts=listing.doubts,
         shape=heads.shape,
         template=template,
         template_path=template_path,

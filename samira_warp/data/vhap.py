@@ -6,7 +6,6 @@ before anything is returned.
 
 from __future__ import annotations
 
-import json
 import math
 from functools import partial
 from pathlib import Path
@@ -18,10 +17,12 @@ import torch
 from samira_warp.data.film import check_picture, check_shape
 from samira_warp.data.frames import FrameFiles, Listing, listing_of
 from samira_warp.data.index import FileIndex
+from samira_warp.data.lens import KEYS, OTHERS, lens_of
 from samira_warp.data.numbers import check_rotation
-from samira_warp.data.pictures import key_of, pictures_of
+from samira_warp.data.pictures import key_of, pictures_of, with_slashes
 from samira_warp.data.split import Split
 from samira_warp.geometry.camera import Camera
+from samira_warp.io.files import read_json
 from samira_warp.support.errors import UserError
 from samira_warp.support.faults import all_of, each
 
@@ -52,16 +53,26 @@ def list_vhap(root: Path, split: Split, index: FileIndex) -> Listing:
         train, test = all_of(
             *(partial(reader.transforms, f"transforms_{part}.json") for part in ("train", "test"))
         )
-        shared = {frame.name for frame in train} & {frame.name for frame in test}
+        shared = {frame.image_path for frame in train} & {frame.image_path for frame in test}
         if shared:
             raise UserError(
                 root / "transforms_test.json",
                 expected="frames that are not trained on",
-                found=f"{min(shared)} in both",
+                found=f"{min(shared).stem} in both",
             )
         frames = train + test
         trains = [True] * len(train) + [False] * len(test)
-    return listing_of(root, split, frames, format="VHAP export", trains=trains)
+    return listing_of(root, split, frames, format="VHAP export", trains=trains, notes=_lens_notes(frames))
+
+
+def _lens_notes(frames: list[FrameFiles]) -> tuple[str, ...]:
+    """What a user should know of the lenses, if any bends pictures."""
+    bent = [(frame.lens.reach(frame.camera), frame) for frame in frames if frame.lens is not None]
+    if not bent:
+        return ()
+    reach, frame = max(bent, key=lambda one: one[0])
+    of = f"{len(bent)} pictures are distorted by their lens, by up to {reach:.1f} pixels in {frame.name}"
+    return (f"{of}: they are made straight as they are read",)
 
 
 class _Reader:
@@ -70,7 +81,6 @@ class _Reader:
     def __init__(self, root: Path, index: FileIndex) -> None:
         self.root = root
         self.index = index
-        self.albedo = pictures_of(root / "albedo")
         self._folders: dict[Path, dict[str, Path]] = {}
 
     def transforms(self, name: str) -> list[FrameFiles]:
@@ -78,11 +88,8 @@ class _Reader:
         path = self.root / name
         if not path.is_file():
             raise UserError(path, expected="the dataset's list of frames", found="no such file")
-        try:
-            document = json.loads(path.read_text(encoding="utf-8"))
-        except ValueError as fault:
-            raise UserError(path, expected="JSON", found=fault) from fault
-        if not isinstance(document, dict) or not isinstance(document.get("frames"), list):
+        document = read_json(path)
+        if not isinstance(document.get("frames"), list):
             raise UserError(path, expected="an object with a list 'frames'", found="none")
         if not document["frames"]:
             raise UserError(path, expected="at least one frame", found="an empty list")
@@ -105,6 +112,15 @@ class _Reader:
         folder = self._folders[path.parent]
         return folder.get(key_of(path.stem)) or folder.get(key_of(path.name))
 
+    def albedo_of(self, image_path: Path) -> Path | None:
+        """The albedo of a picture: the dataset's own, or its recording's, beside the folder of its pictures."""
+        for folder in (self.root / "albedo", image_path.parent.parent / "albedo"):
+            if folder not in self._folders:
+                self._folders[folder] = pictures_of(folder)
+            if key_of(image_path.stem) in self._folders[folder]:
+                return self._folders[folder][key_of(image_path.stem)]
+        return None
+
 
 def _with_shared_values(path: Path, index: int, frame: object, document: dict[str, Any]) -> dict[str, Any]:
     """A frame's values; a camera that it does not state itself is the one at the top of the file."""
@@ -112,9 +128,9 @@ def _with_shared_values(path: Path, index: int, frame: object, document: dict[st
         raise UserError(path, expected=f"an object as frames[{index}]", found=type(frame).__name__)
     # a focal length of the file's must not stand beside a field of view of the frame's own
     states_focal = "fl_x" in frame or "camera_angle_x" in frame
-    shared = (
-        ("w", "h", "cx", "cy") if states_focal else ("w", "h", "cx", "cy", "fl_x", "fl_y", "camera_angle_x")
-    )
+    shared = ("w", "h", "cx", "cy", "camera_model", "is_fisheye", *KEYS, *OTHERS)
+    if not states_focal:
+        shared = (*shared, "fl_x", "fl_y", "camera_angle_x")
     return {**{key: document[key] for key in shared if key in document}, **frame}
 
 
@@ -135,12 +151,13 @@ class _Entry:
             lambda: self._whole("timestep_index"),
             self.camera,
         )
-        albedo_path = reader.albedo.get(key_of(image_path.stem))
+        lens = lens_of(f"{self.path}: frames[{self.index}]", self.values, camera)
+        albedo_path = reader.albedo_of(image_path)
         others = [path for path in (mask_path, albedo_path) if path is not None]
         checks = [partial(check_picture, image_path), *(partial(check_shape, path) for path in others)]
         all_of(*(partial(check, camera, reader.index, said_by=self.path.name) for check in checks))
         return FrameFiles(
-            image_path.stem, timestep, image_path, mask_path, albedo_path, parameters_path, camera
+            image_path.stem, timestep, image_path, mask_path, albedo_path, parameters_path, camera, lens
         )
 
     def camera(self) -> Camera:
@@ -181,7 +198,7 @@ class _Entry:
         value = self._value(key)
         if not isinstance(value, str):
             raise self._fault(f"{key} to be a path", repr(value))
-        path = root / value
+        path = _path(root, value)
         if not path.is_file():
             raise UserError(
                 path,
@@ -192,7 +209,7 @@ class _Entry:
 
     def _picture(self, reader: _Reader, key: str) -> Path:
         value = self.values.get(key)
-        picture = reader.picture(reader.root / value) if isinstance(value, str) else None
+        picture = reader.picture(_path(reader.root, value)) if isinstance(value, str) else None
         return picture or self._file(reader.root, key)
 
     def _whole(self, key: str, *, above: float = -math.inf) -> int:
@@ -219,3 +236,9 @@ class _Entry:
 
     def _fault(self, expected: str, found: object) -> UserError:
         return UserError(f"{self.path}: frames[{self.index}]", expected=expected, found=found)
+
+
+def _path(root: Path, value: str) -> Path:
+    """A file as a list names it, on whatever system that was written."""
+    path = root / value
+    return path if path.exists() else root / with_slashes(value)

@@ -23,7 +23,7 @@ import torch
 from samira_warp.data.film import Film, Intrinsics, list_film
 from samira_warp.data.index import FileIndex
 from samira_warp.data.numbers import numbers
-from samira_warp.data.pictures import first_folder, key_of, natural, pictures_of
+from samira_warp.data.pictures import files_of, first_folder, key_of, natural, pictures_of
 from samira_warp.data.split import Split
 from samira_warp.data.track import Heads, Reading, Track, heads_of
 from samira_warp.data.vhap_parameters import checked, load_parameters, offsets
@@ -45,7 +45,7 @@ def open_vhap_tracked(root: Path, split: Split, index: FileIndex) -> Reading:
         UserError: A key is missing, a value has a wrong shape, the film was taken by more than one camera, or
             pictures are missing.
     """
-    path = max(root.glob(TRACKED), key=lambda path: natural(path.name))
+    path = max(files_of(root, TRACKED), key=lambda path: natural(path.name))
     arrays = load_parameters(path)
     if "focal_length" not in arrays:
         found = "none: the cameras were calibrated. Export the dataset with vhap.export_as_nerf_dataset"

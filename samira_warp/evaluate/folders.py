@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,8 +10,10 @@ import numpy as np
 import torch
 
 from samira_warp.data import FrameFiles, Listing
+from samira_warp.data.pictures import is_hidden
 from samira_warp.data.pixels import load_mask, load_pixels
 from samira_warp.evaluate.evaluate import ImagePair, Layer
+from samira_warp.io.files import read_json
 from samira_warp.io.images import read_labels, read_on_white, resize_box, resize_nearest
 from samira_warp.support.errors import UserError
 
@@ -57,7 +58,7 @@ def find_comparisons(
         truths = {
             path.stem: path
             for path in sorted(truth.iterdir())
-            if path.suffix.lower() in (".png", ".jpg", ".jpeg")
+            if path.suffix.lower() in (".png", ".jpg", ".jpeg") and not is_hidden(path)
         }
         if not truths:
             raise UserError(truth, expected="images", found="none")
@@ -126,8 +127,8 @@ def read_region_names(regions: Path) -> dict[int, str]:
             beside[0], expected="the names of the labels, here or one folder up", found="no such file"
         )
     try:
-        return {int(label): str(name) for label, name in json.loads(path.read_text(encoding="utf-8")).items()}
-    except (ValueError, AttributeError) as fault:
+        return {int(label): str(name) for label, name in read_json(path).items()}
+    except ValueError as fault:
         raise UserError(path, expected='labels and their names, such as {"1": "eye"}', found=fault) from fault
 
 

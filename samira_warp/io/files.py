@@ -104,13 +104,13 @@ def save_tensors(
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """Read a JSON object.
+    """Read a JSON object, in UTF-8 or UTF-16, with a byte order mark or without, as editors write it.
 
     Raises:
         UserError: The file is missing or holds something else.
     """
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(path.read_bytes())
     except FileNotFoundError as error:
         raise UserError(path, expected="a JSON file", found="no such file") from error
     except (OSError, ValueError) as error:

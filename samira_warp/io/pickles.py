@@ -20,8 +20,11 @@ import numpy as np
 from samira_warp.support.errors import UserError
 
 MOST_OPERATIONS = 5_000
-"""Of one pickle. FLAME's files take some hundreds; the limit bounds how deep a hostile one can nest and how
-much it can multiply."""
+"""Of one pickle, besides plain numbers. FLAME's files take some hundreds; the limit bounds how deep a hostile
+one can nest and how much it can multiply."""
+
+MOST_NUMBERS = 1 << 20
+"""Of one pickle, written one by one: masks saved as lists have thousands. Numbers nest nothing."""
 
 MOST_BYTES = 1 << 28
 """Of one file, and of one sparse matrix made dense; FLAME with all of its shapes in float64 takes a fifth of
@@ -33,6 +36,7 @@ in a copy of itself."""
 
 _FORBIDDEN = {"EXT1", "EXT2", "EXT4", "PERSID", "BINPERSID", "NEXT_BUFFER", "READONLY_BUFFER"}
 _PUTS = {"PUT", "BINPUT", "LONG_BINPUT"}
+_NUMBERS = {"BININT", "BININT1", "BININT2", "INT", "LONG1", "BINFLOAT", "FLOAT", "NEWTRUE", "NEWFALSE"}
 _EXPECTED = "a pickle of arrays alone (of numpy, scipy.sparse or chumpy)"
 
 
@@ -168,9 +172,16 @@ def _survey(content: bytes) -> None:
     A memo index allocates memory up to itself, and a deep nest of tuples overflows the stack when it is
     hashed: both are bounded here.
     """
-    for count, (operation, argument, _) in enumerate(pickletools.genops(content)):
-        if count > MOST_OPERATIONS:
+    numbers = operations = 0
+    for operation, argument, _ in pickletools.genops(content):
+        if operation.name in _NUMBERS:
+            numbers += 1
+        else:
+            operations += 1
+        if operations > MOST_OPERATIONS:
             raise ValueError(f"more than {MOST_OPERATIONS} operations")
+        if numbers > MOST_NUMBERS:
+            raise ValueError(f"more than {MOST_NUMBERS} numbers")
         if operation.name in _FORBIDDEN:
             raise ValueError(f"the operation {operation.name}")
         if operation.name in _PUTS and int(argument) > MOST_OPERATIONS:

@@ -218,9 +218,9 @@ class _Preparation:
         if self.config.mattes is not None:
             return f"folder {folder_identity(pictures_of(self.config.mattes))}"
         before = self._finished("mattes").inputs
-        if before.get("frames") == frames.key() and self._are_whole(frames):
-            if before["method"] != NOTHING or self._keeps_tracking():
-                return before["method"]
+        theirs = before.get("frames") == frames.key() and self._are_whole(frames)
+        if theirs and (before["method"] != NOTHING or self._keeps_tracking()):
+            return before["method"]
         return NOTHING if self._network() is None else NETWORK
 
     def _are_whole(self, frames: Stage) -> bool:

@@ -15,6 +15,7 @@ from typing import NamedTuple
 from tqdm import tqdm
 
 from samira_warp.data import open_listing
+from samira_warp.data.pictures import files_of
 from samira_warp.support.errors import UserError
 
 INSTALL = (
@@ -95,7 +96,7 @@ def track(vhap: Vhap, film: Path, folder: Path, *, log: Path) -> None:
         "--exp.output_folder": folder.resolve(),
     }
     _call(vhap, TRACK, options, log=log, says="tracking")
-    if not any(folder.rglob(TRACKED)):
+    if not files_of(folder, f"**/{TRACKED}"):
         raise UserError(log, expected=f"VHAP to leave {TRACKED}", found="none")
 
 
@@ -105,7 +106,7 @@ def export(vhap: Vhap, tracked: Path, folder: Path, *, log: Path) -> None:
     Raises:
         UserError: VHAP ends with a fault, or its export cannot be read.
     """
-    newest = max(tracked.rglob(TRACKED), key=lambda path: (path.stat().st_mtime_ns, path.name))
+    newest = max(files_of(tracked, f"**/{TRACKED}"), key=lambda path: (path.stat().st_mtime_ns, path.name))
     options = {
         "--src_folder": newest.parent.resolve(),
         "--tgt_folder": folder.resolve(),

@@ -86,7 +86,7 @@ LISTS = {
     "an empty file": (LIST, text(""), "JSON"),
     "no JSON": (LIST, text("{"), "JSON"),
     "no text": (LIST, lambda path: path.write_bytes(b"\xff\xfe\x00"), "JSON"),
-    "a list at the top": (LIST, text("[]"), "'frames'"),
+    "a list at the top": (LIST, text("[]"), "expected a JSON object, found list"),
     "no frames": (LIST, document(lambda d: d.pop("frames")), "'frames'"),
     "frames that are no list": (LIST, document(lambda d: d.update(frames={})), "'frames'"),
     "an empty training split": (LIST, document(lambda d: d["frames"].clear()), "at least one frame"),

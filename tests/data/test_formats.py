@@ -12,6 +12,8 @@ from data.layouts import WRITERS, make_film_for, take, write_layout
 from data.tiny import N_EXPRESSION, tiny_template
 from PIL import Image
 
+from samira_warp.check.opening import open_checked
+from samira_warp.check.report import check_dataset
 from samira_warp.data import load_pixels, open_listing, open_sequence
 from samira_warp.data.metrical_tracker import rotation_vectors
 from samira_warp.data.pictures import natural
@@ -19,6 +21,7 @@ from samira_warp.geometry.camera import Camera
 from samira_warp.geometry.rotation import axis_angle_to_matrix
 from samira_warp.head import FrameParameters, HeadModel, read_template
 from samira_warp.head.flame import EYELIDS
+from samira_warp.io.images import write_png
 from samira_warp.support.errors import UserError
 
 TRACKERS = [name for name in WRITERS if name != "VHAP export"]
@@ -370,3 +373,38 @@ def test_check_says_what_a_folder_is(tmp_path):
         listing = open_listing(tmp_path / str(number))
         assert layout.split()[0].lower() in listing.format.lower()
     assert json.loads((tmp_path / "5" / "flame_params.json").read_text())["intrinsics"][0] < 0
+
+
+@pytest.mark.parametrize("layout", WRITERS)
+def test_hidden_files_of_archives_made_on_macos_are_passed_over(tmp_path, layout):
+    """A ._NAME lies beside every NAME."""
+    write(layout, tmp_path / "subject")
+    expected = open_sequence(tmp_path / "subject")
+    for path in [path for path in (tmp_path / "subject").rglob("*") if path.is_file()]:
+        path.with_name(f"._{path.name}").write_bytes(b"\0\5\26\7\0\2\0\0Mac OS X        " + bytes(120))
+    found = open_sequence(tmp_path / "subject")
+    assert [frame.name for frame in found.frames] == [frame.name for frame in expected.frames]
+    assert not [finding for finding in check_dataset(tmp_path / "subject").findings if "._" in str(finding)]
+
+
+def test_pictures_of_another_shape_than_were_tracked(tmp_path):
+    """metrical-tracker crops a square, which it leaves in input/; whole frames may lie beside it."""
+    root = tmp_path / "subject"
+    write("metrical-tracker", root)
+    expected = open_sequence(root)
+    folder = expected.frames[0].image_path.parent
+    folder.rename(root / "input")
+    (root / "images").mkdir()
+    for frame in expected.frames:
+        write_png(root / "images" / frame.image_path.name, np.full((72, 200, 3), 0.5))
+    found = open_sequence(root)
+    assert found.frames[0].image_path.parent.name == "input"
+    assert found.frames[0].camera.fx == expected.frames[0].camera.fx
+    shutil.rmtree(root / "input")
+    doubtful = open_sequence(root)  # may drive, does not train
+    camera, tracked = doubtful.frames[0].camera, expected.frames[0].camera
+    assert camera.fx / camera.fy == pytest.approx(tracked.fx / tracked.fy)
+    assert len(doubtful.doubts) == len(doubtful.frames)
+    with pytest.raises(UserError, match=r"of the shape 40 x 32 .*input/.*found 200 x 72"):
+        open_checked(root)
+    assert any("input/" in str(finding) for finding in check_dataset(root).findings)

@@ -16,8 +16,16 @@ from data.damage import change_arrays
 from data.layouts import make_film, make_film_for, write_layout
 from data.tiny import tiny_template
 
-from samira_warp.data import PixelCache, index, open_listing, open_sequence
+from samira_warp.data import (
+    PixelCache,
+    index,
+    metrical_tracker,
+    open_listing,
+    open_sequence,
+    vhap_parameters,
+)
 from samira_warp.data.index import FileIndex
+from samira_warp.data.vhap import CANONICAL_FILE
 from samira_warp.io.files import cache_folder
 from samira_warp.io.images import image_size
 from samira_warp.support.errors import UserError
@@ -72,16 +80,20 @@ def assert_same(first, second):
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
-def test_the_second_opening_reads_nothing_and_gives_the_same(tmp_path, cache, reads, layout):
+def test_the_second_opening_reads_nothing_and_gives_the_same(tmp_path, cache, reads, layout, monkeypatch):
     root = dataset(layout, tmp_path / "subject")
     first = open_sequence(root)
     assert len(reads) == len(first.frames) * (2 if layout == "VHAP export" else 1)
     assert len(list(cache.iterdir())) == 1
     reads.clear()
-    for path in [*root.glob("flame_param/*.npz"), *root.glob("checkpoint/*.frame")]:
-        status = path.stat()
-        path.write_bytes(b"?" * status.st_size)  # would be refused if it were read
-        os.utime(path, ns=(status.st_atime_ns, status.st_mtime_ns))
+    load = vhap_parameters.load_parameters
+
+    def refuse(path):
+        assert path.name == CANONICAL_FILE, f"{path} is read again"
+        return load(path)
+
+    monkeypatch.setattr(vhap_parameters, "load_parameters", refuse)
+    monkeypatch.setattr(metrical_tracker, "_read_frame", refuse)
     assert_same(open_sequence(root), first)
     assert reads == []
 
@@ -149,7 +161,7 @@ def test_a_broken_index_counts_as_none(tmp_path, cache, reads, content):
 def test_an_index_of_another_version_counts_as_none(tmp_path, reads, monkeypatch):
     root = dataset("metrical-tracker", tmp_path / "subject")
     open_sequence(root)
-    monkeypatch.setattr(index, "_VERSION", 2)
+    monkeypatch.setattr(index, "_VERSION", index._VERSION + 1)
     reads.clear()
     open_sequence(root)
     assert reads
@@ -280,3 +292,19 @@ def test_a_copy_is_another_folder(long_root, tmp_path, reads):
     shutil.copytree(long_root, tmp_path / "copy", copy_function=os.link)
     open_listing(tmp_path / "copy", split="0.9")
     assert len(reads) == 2 * FRAMES
+
+
+@pytest.mark.parametrize("replaced", ["in place", "by another file"])
+def test_a_file_of_the_same_size_and_time_is_read_again(tmp_path, replaced):
+    """Archives, copies and re-tracked takes keep a file's time; the system's own time of the change moves."""
+    root = dataset("VHAP export", tmp_path / "subject")
+    first = open_sequence(root).frames[0]
+    path = first.parameters_path
+    status, rotation = path.stat(), first.parameters.rotation.clone()
+    change_arrays(path, rotation=lambda array: array + np.float32(0.25))
+    if replaced == "by another file":
+        shutil.copy(path, tmp_path / "other.npz")
+        (tmp_path / "other.npz").replace(path)
+    os.utime(path, ns=(status.st_atime_ns, status.st_mtime_ns))
+    assert (path.stat().st_size, path.stat().st_mtime_ns) == (status.st_size, status.st_mtime_ns)
+    torch.testing.assert_close(open_sequence(root).frames[0].parameters.rotation, rotation + 0.25)

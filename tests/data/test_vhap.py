@@ -306,3 +306,63 @@ def test_the_real_subject(subject):
     listing = open_listing(subject)
     document = json.loads((subject / "transforms_test.json").read_text())
     assert len(listing.test) == len(document["frames"])
+
+
+# --- lists as other systems and other recordings write them
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_lists_with_a_byte_order_mark_are_read(dataset, encoding):
+    for name in PARTS:
+        (dataset / name).write_text((dataset / name).read_text(), encoding=encoding)
+    assert len(open_sequence(dataset).frames) == 6
+
+
+def test_backslashes_are_slashes(dataset):
+    paths = ("file_path", "fg_mask_path", "flame_param_path")
+    change_every_entry(
+        dataset, lambda entry: entry.update({key: entry[key].replace("/", "\\") for key in paths})
+    )
+    before, after = open_listing(dataset), open_listing(dataset)
+    assert [frame.image_path for frame in after.frames] == [frame.image_path for frame in before.frames]
+    assert all(frame.mask_path.is_file() for frame in after.frames)
+
+
+@pytest.fixture
+def union(tiny_dataset, tmp_path):
+    """Two recordings of one person, listed as GaussianAvatars lists them: names of pictures repeat."""
+    root = tmp_path / "UNION"
+    root.mkdir()
+    for name in ("EMO-1", "EXP-2"):
+        shutil.copytree(tiny_dataset, tmp_path / name)
+    for name in ("template.npz", "canonical_flame_param.npz"):
+        shutil.copy(tiny_dataset / name, root / name)
+    for part in PARTS:
+        frames = []
+        for number, name in enumerate(("EMO-1", "EXP-2")):
+            for entry in json.loads((tiny_dataset / part).read_text())["frames"]:
+                paths = {
+                    key: f"../{name}/{entry[key]}"
+                    for key in ("file_path", "fg_mask_path", "flame_param_path")
+                }
+                frames.append({**entry, **paths, "timestep_index": entry["timestep_index"] + 6 * number})
+        (root / part).write_text(json.dumps({"frames": frames}))
+    return root
+
+
+def test_a_union_of_recordings_names_its_frames_apart(union, tiny_dataset):
+    sequence, alone = open_sequence(union), open_sequence(tiny_dataset)
+    names = [frame.name for frame in alone.frames]
+    expected = [f"{recording}_{name}" for recording in ("EMO-1", "EXP-2") for name in names]
+    assert [frame.name for frame in sequence.frames] == expected
+    assert (len(sequence.train), len(sequence.test)) == (2 * len(alone.train), 2 * len(alone.test))
+    for frame in sequence.frames:
+        assert frame.image_path.resolve().parent.parent.name == frame.name.split("_")[0]
+    with_albedo = [frame.albedo_path is not None for frame in alone.frames]
+    assert [frame.albedo_path is not None for frame in sequence.frames] == 2 * with_albedo
+
+
+def test_one_recording_twice_in_a_list_is_refused(dataset):
+    change_every_list(dataset, lambda document: document["frames"].append(document["frames"][0]))
+    with pytest.raises(UserError, match="image names that differ"):
+        open_listing(dataset, split="0.5")

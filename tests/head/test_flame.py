@@ -22,7 +22,7 @@ from data.flame_files import (
 
 from samira_warp.head import HeadModel, UvAtlas, read_template, save_template
 from samira_warp.head.flame import EYELIDS, FLAME_FACES, FLAME_IDENTITY, FLAME_VERTICES, read_flame, read_head
-from samira_warp.head.flame_companions import UV_FILES
+from samira_warp.head.flame_companions import UV_FILES, read_masks
 from samira_warp.head.regions import REGIONS, route_faces
 from samira_warp.head.teeth import LOWER_LIP, RING, TEETH_FACES, TEETH_VERTICES, UPPER_LIP
 from samira_warp.support.errors import UserError
@@ -292,3 +292,17 @@ def test_a_companion_that_is_broken_is_named(folder, name):
     message = refused(folder / "flame2023.npz")
     assert str(path) in message
     assert said in message
+
+
+def test_masks_saved_as_lists_are_the_same(tmp_path):
+    """Scripts that think in JSON write a number as an operation of its own, and there are thousands."""
+    masks = {name: np.arange(count) for name, count in MASK_SIZES.items()}
+    found = []
+    for name, content in (("arrays", masks), ("lists", {name: ids.tolist() for name, ids in masks.items()})):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "FLAME_masks.pkl").write_bytes(pickle.dumps(content, 4))
+        found.append(read_masks(tmp_path / name, vertices=5023))
+    arrays, lists = found
+    assert arrays.keys() == lists.keys()
+    for name, ids in arrays.items():
+        np.testing.assert_array_equal(lists[name], ids)
