@@ -96,7 +96,8 @@ from typing import get_args
 import torch
 from samira_warp.bench.raster import GBUFFER_CHANNELS
 from samira_warp.light import FilteredLight, shade
-from samira_warp.render.layers import Layer, layer_image
+from samira_warp.stage.layer_names import Layer
+from samira_warp.stage.layers import layer_image
 from samira_warp.support.errors import UserError
 from subjects import camera, parameters, small_avatar
 

@@ -15,7 +15,7 @@ import torch
 from samira_warp.avatar import Avatar, read_frames
 from samira_warp.io.images import write_png
 from samira_warp.light import Environment, encode_srgb
-from samira_warp.render.layers import layer_image
+from samira_warp.stage.layers import layer_image
 from samira_warp.support.cli import run
 from samira_warp.support.errors import UserError
 

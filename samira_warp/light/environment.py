@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from numbers import Real
 from pathlib import Path
-from typing import Literal
 
 import torch
 
@@ -17,6 +15,7 @@ from samira_warp.light.cross import cube_to_cross
 from samira_warp.light.filtered import FilteredLight
 from samira_warp.light.radiance_map import RadianceMap
 from samira_warp.support.errors import UserError
+from samira_warp.support.exposure import Exposure, check_exposure
 
 DIFFUSE_FILE = "light_diffuse.exr"
 SPECULAR_FILE = "light_specular.exr"
@@ -27,10 +26,6 @@ DIFFUSE_MULTIPLE, SPECULAR_MULTIPLE = 2, 16
 
 LUMINANCE = (0.2126, 0.7152, 0.0722)
 """Weights of linear red, green and blue in luminance (ITU-R BT.709)."""
-
-Exposure = float | Literal["auto"]
-"""A factor on the light, or the one at which the luminance of the irradiance, averaged over all directions,
-is 1."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,14 +166,6 @@ class Environment:
         """The same light on ``device``."""
         backdrop = None if self.backdrop is None else self.backdrop.to(device)
         return Environment(self.diffuse.to(device), self.specular.to(device), backdrop)
-
-
-def check_exposure(exposure: Exposure, *, name: str = "exposure") -> None:
-    """Raise UserError unless ``exposure`` is auto or a finite factor of at least 0; ``name`` is what it is
-    called.
-    """
-    if exposure != "auto" and not (isinstance(exposure, Real) and 0.0 <= exposure < math.inf):
-        raise UserError(name, expected="a factor of at least 0, or auto", found=exposure)
 
 
 def learned_pair(folder: str | Path) -> tuple[Path, Path]:

@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 from tyro.conf import UseAppendAction
 
-from samira_warp.avatar import MaterialEdit
-from samira_warp.light.environment import Exposure
-from samira_warp.render.layers import Layer
+from samira_warp.stage.layer_names import Layer
 from samira_warp.support.devices import DeviceName
 from samira_warp.support.errors import UserError
+from samira_warp.support.exposure import Exposure, check_exposure
 
 
 @dataclass(frozen=True)
 class RenderConfig:
-    """Render an avatar: re-animated by any tracked sequence, relit under any environment map, its materials
-    changed.
+    """Render an avatar: re-animated by a sequence, relit by an environment map, its materials changed.
 
     Without --env the light is the one that was learned with the avatar. A folder of maps makes a contact
     sheet: one frame under every map.
@@ -77,42 +76,19 @@ class RenderConfig:
     device: DeviceName = "auto"
     """Where to compute."""
 
-
-def parse_frames(text: str | None) -> slice:
-    """Read A:B:STEP, any part of which may be left out.
-
-    Raises:
-        UserError: It is not of that form.
-    """
-    if text is None:
-        return slice(None)
-    parts = text.split(":")
-    try:
-        numbers = [int(part) if part.strip() else None for part in parts]
-        if len(numbers) > 3 or (len(numbers) == 3 and numbers[2] == 0):
-            raise ValueError
-    except ValueError:
-        raise UserError(
-            "--frames", expected="A:B:STEP, whole numbers, any of which may be left out", found=repr(text)
-        ) from None
-    if len(numbers) == 1:
-        first = numbers[0]
-        if first is None:
-            raise UserError("--frames", expected="A:B:STEP", found=repr(text))
-        return slice(first, first + 1 or None)
-    return slice(*numbers)
-
-
-def material_edits(config: RenderConfig) -> tuple[MaterialEdit, ...]:
-    """The edit that the options ask for, or none.
-
-    Raises:
-        UserError: An option is not of its form, or regions are named but nothing to change in them.
-    """
-    regions = tuple(name for text in config.region for name in text.split(","))
-    edit = MaterialEdit(config.roughness, config.specular, config.albedo, regions)
-    if not edit.changes() and regions:
-        raise UserError(
-            "--region", expected="--roughness, --specular or --albedo with it", found="none of them"
-        )
-    return (edit,) if edit.changes() else ()
+    def check(self) -> None:
+        """Raise UserError unless every number can be used."""
+        check_exposure(self.exposure, name="--exposure")
+        ranges = {
+            "expression-gain": (math.isfinite(self.expression_gain), "a number"),
+            "rotate": (math.isfinite(self.rotate), "degrees"),
+            "turntable": (
+                self.turntable is None or 0.0 < self.turntable < math.inf,
+                "a positive number of seconds",
+            ),
+            "resolution": (self.resolution is None or self.resolution > 0, "a positive number of pixels"),
+            "fps": (0.0 < self.fps < math.inf, "a positive number of frames"),
+        }
+        for name, (holds, expected) in ranges.items():
+            if not holds:
+                raise UserError(f"--{name}", expected=expected, found=getattr(self, name.replace("-", "_")))

@@ -16,7 +16,8 @@ from samira_warp.data import Sequence, open_sequence
 from samira_warp.geometry.camera import Camera
 from samira_warp.head import FrameParameters
 from samira_warp.io.files import read_json
-from samira_warp.render.config import RenderConfig, parse_frames
+from samira_warp.render.config import RenderConfig
+from samira_warp.stage.frames import parse_frames
 from samira_warp.support.errors import UserError
 
 
@@ -27,7 +28,8 @@ def select_frames(config: RenderConfig, avatar: Avatar, folder: Path) -> list[Dr
         UserError: There are none, or the sequence cannot drive the avatar.
     """
     wanted, own = parse_frames(config.frames), read_frames(folder)
-    frames = list(_own(config, own) if config.data is None else _driven(config, avatar, folder, own))
+    driven = _own(config, own) if config.data is None else _driven(config, config.data, avatar, folder, own)
+    frames = list(driven)
     chosen = frames[wanted]
     if not chosen:
         raise UserError(
@@ -59,16 +61,16 @@ def _own(config: RenderConfig, frames: list[DrivingFrame]) -> Iterator[DrivingFr
 
 
 def _driven(
-    config: RenderConfig, avatar: Avatar, folder: Path, own: list[DrivingFrame]
+    config: RenderConfig, data: Path, avatar: Avatar, folder: Path, own: list[DrivingFrame]
 ) -> Iterator[DrivingFrame]:
     """Frames of another sequence: its pose and expression, the avatar's own shape and static offset.
 
     The avatar's own person is not held to what was seen in training: test frames of its dataset go beyond.
     """
     record = read_json(folder / DESCRIPTION_FILE)["record"]
-    trained_on = record.get("subject") == config.data.resolve().name
+    trained_on = record.get("subject") == data.resolve().name
     split = config.split or (record.get("split", "dataset") if trained_on else "dataset")
-    sequence = open_sequence(config.data, split=split, flame=folder / TEMPLATE_FILE)
+    sequence = open_sequence(data, split=split, flame=folder / TEMPLATE_FILE)
     expressions = match_expressions(
         sequence.template, avatar.canonical.template, source=sequence.template_path
     )
@@ -90,10 +92,10 @@ def _is_person(sequence: Sequence, canonical: CanonicalHead) -> bool:
         sequence.shape, canonical.shape.cpu()
     ):
         return False
-    offsets = (sequence.canonical_static_offset, canonical.static_offset)
-    if any(offset is None for offset in offsets):
-        return offsets[0] is offsets[1]
-    return torch.equal(offsets[0], offsets[1].cpu())
+    tracked, own = sequence.canonical_static_offset, canonical.static_offset
+    if tracked is None or own is None:
+        return tracked is own
+    return torch.equal(tracked, own.cpu())
 
 
 def _neutral(config: RenderConfig, sequence: Sequence) -> FrameParameters | None:

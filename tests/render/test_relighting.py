@@ -18,8 +18,8 @@ from samira_warp.io.images import image_size, read_image, write_exr, write_png
 from samira_warp.light import Environment, decode_srgb, encode_srgb
 from samira_warp.light.equirect import equirect_directions
 from samira_warp.light.radiance_map import RadianceMap
-from samira_warp.render import lights
-from samira_warp.render.background import Background
+from samira_warp.stage import lights
+from samira_warp.stage.background import Background
 
 FRAME = "00004_00"
 
@@ -178,7 +178,7 @@ def test_a_sheet_reads_each_map_once_and_tells_two_of_one_name_apart(tiny_run, t
 
 def test_a_picture_behind_the_head_is_resized_once_for_a_sequence(tmp_path):
     write_png(tmp_path / "wide.png", np.full((32, 96, 3), 0.5))
-    backdrop = Background(str(tmp_path / "wide.png"), None)
+    backdrop = Background(str(tmp_path / "wide.png"))
     first = backdrop.behind(camera(16), None, rotate=0.0)
     assert backdrop.behind(camera(16), None, rotate=0.0) is first
     assert backdrop.behind(camera(16, height=12), None, rotate=0.0).shape == (12, 16, 3)

@@ -17,8 +17,9 @@ from samira_warp.evaluate.__main__ import EvaluateConfig
 from samira_warp.evaluate.__main__ import main as evaluate_main
 from samira_warp.io.images import read_image, write_exr, write_png
 from samira_warp.light import Environment, decode_srgb, encode_srgb
-from samira_warp.render.config import parse_frames
-from samira_warp.render.layers import Layer, layer_image
+from samira_warp.stage.frames import parse_frames
+from samira_warp.stage.layer_names import Layer
+from samira_warp.stage.layers import layer_image
 from samira_warp.support.cli import run
 from samira_warp.support.errors import UserError
 

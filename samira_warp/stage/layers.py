@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal, NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -10,23 +10,8 @@ from torch import Tensor
 from samira_warp.avatar import Rendering
 from samira_warp.avatar.residual import POSITION_LIMIT
 from samira_warp.light import encode_srgb, to_display
+from samira_warp.stage.layer_names import Layer
 from samira_warp.surface import CHANNELS
-
-if TYPE_CHECKING:
-    Layer: TypeAlias = str
-else:
-    Layer = Literal[
-        "image",
-        *CHANNELS,
-        "alpha",
-        "depth",
-        "irradiance",
-        "specular_light",
-        "residual_position",
-        "residual_rotation",
-    ]
-"""What there is to look at. The channels of a surface come from their table, which a type checker cannot
-follow."""
 
 
 class LayerImage(NamedTuple):

@@ -1,0 +1,88 @@
+"""What the light is that paths name: a map, a pair of maps, a learned light, or a folder of maps."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from samira_warp.light import Environment
+from samira_warp.light.environment import DIFFUSE_FILE, SPECULAR_FILE, learned_pair
+from samira_warp.support.errors import UserError
+from samira_warp.support.exposure import Exposure
+
+MAP_SUFFIXES = (".hdr", ".exr")
+"""Files of a folder that are environment maps."""
+
+LDR_SUFFIXES = (".jpg", ".jpeg", ".png", ".tif", ".tiff", ".webp")
+"""Files that are maps as well where 8-bit pictures are taken."""
+
+SHEET_SIZE = 128
+"""Texels along a face for a contact sheet: ten times as fast as the 256 of a single map, from which pictures
+of 256 x 256 pixels differ by 0.02 of 255 levels on average, and by 3 at most."""
+
+
+def read_light(paths: Sequence[Path], *, exposure: Exposure = 1.0, ldr: bool = False) -> Environment:
+    """One light: a map, a diffuse map and a specular one, or a folder with a learned light.
+
+    Args:
+        paths: One path or two.
+        exposure: Factor on the light, or auto.
+        ldr: Also take 8-bit pictures.
+
+    Raises:
+        UserError: There are none or more of them, or they cannot be used.
+    """
+    if not 1 <= len(paths) <= 2:
+        raise UserError(
+            "--env", expected="one map, two (diffuse and specular) or a folder", found=f"{len(paths)} files"
+        )
+    return Environment.load(*paths, exposure=exposure, ldr=ldr)
+
+
+def sheet_paths(paths: Sequence[Path], *, ldr: bool = False) -> list[Path] | None:
+    """The maps of a contact sheet, by name, where ``paths`` is a folder of them; None where it is not.
+
+    A folder with a learned light, of an avatar or of the run that holds it, is that light.
+
+    Raises:
+        UserError: The folder holds no maps.
+    """
+    if len(paths) != 1 or not paths[0].is_dir() or _holds_learned_light(paths[0]):
+        return None
+    folder = paths[0]
+    suffixes = MAP_SUFFIXES + LDR_SUFFIXES if ldr else MAP_SUFFIXES
+    maps = sorted(
+        path for path in folder.iterdir() if path.suffix.lower() in suffixes and not path.name.startswith(".")
+    )
+    if not maps:
+        learned = f"a learned light ({DIFFUSE_FILE} and {SPECULAR_FILE})"
+        raise UserError(
+            folder, expected=f"environment maps ({', '.join(suffixes)}) or {learned}", found="none"
+        )
+    return maps
+
+
+def sheet_labels(maps: Sequence[Path]) -> list[str]:
+    """What the pictures of a contact sheet are called.
+
+    The maps' names, with the suffix where two would be called the same.
+    """
+    stems = [path.stem for path in maps]
+    return [path.name if stems.count(path.stem) > 1 else path.stem for path in maps]
+
+
+def read_sheet_light(path: Path, *, exposure: Exposure = 1.0, ldr: bool = False) -> Environment:
+    """One light of a contact sheet, at its size.
+
+    Raises:
+        UserError: The map cannot be used.
+    """
+    return Environment.load(path, exposure=exposure, ldr=ldr, size=SHEET_SIZE)
+
+
+def _holds_learned_light(folder: Path) -> bool:
+    try:
+        learned_pair(folder)
+    except UserError:
+        return False
+    return True

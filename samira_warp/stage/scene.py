@@ -1,0 +1,87 @@
+"""An avatar with its edits and what is behind it: posed once, lit as often as one likes."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from samira_warp.avatar import Avatar, DrivingFrame, GBuffer, MaterialEdit, Motion, Rendering
+from samira_warp.geometry.camera import Camera
+from samira_warp.light import Environment, FilteredLight
+from samira_warp.light.radiance_map import RadianceMap
+from samira_warp.stage.background import Background
+
+
+class PosedView(NamedTuple):
+    """What of a frame does not depend on the light.
+
+    Attributes:
+        camera: The view.
+        motion: The posed head.
+        gbuffer: Its surface, as the camera sees it.
+    """
+
+    camera: Camera
+    motion: Motion
+    gbuffer: GBuffer
+
+
+class SceneLight(NamedTuple):
+    """A light as it is used for every picture.
+
+    Attributes:
+        filtered: What shading needs of it.
+        seen: What is behind the head of it, in display values; None where something else is.
+    """
+
+    filtered: FilteredLight
+    seen: RadianceMap | None
+
+
+class Scene(NamedTuple):
+    """The avatar as it is to be shown.
+
+    Attributes:
+        avatar: The avatar, on its device.
+        edits: Changes to its materials.
+        background: What is behind it.
+    """
+
+    avatar: Avatar
+    edits: tuple[MaterialEdit, ...]
+    background: Background
+
+    @property
+    def device(self) -> torch.device:
+        """Where the avatar is."""
+        return self.avatar.canonical.vertices.device
+
+    def view(self, frame: DrivingFrame) -> PosedView:
+        """Move the head and rasterise it."""
+        camera, motion = frame.camera.to(self.device), self.avatar.move(frame.parameters.to(self.device))
+        return PosedView(camera, motion, self.avatar.rasterize(motion, camera, edits=self.edits))
+
+    def light(self, environment: Environment) -> SceneLight:
+        """Filter an environment, once for all pictures."""
+        environment = environment.to(self.device)
+        return SceneLight(environment.filtered(), self.background.seen_of(environment))
+
+    def relight(self, view: PosedView, light: SceneLight, *, rotate: float) -> Rendering:
+        """Shade a view under a light that is turned by so many degrees, and put the background behind it."""
+        behind = self.background.behind(view.camera, light.seen, rotate=rotate)
+        return self.shade(view, light.filtered, behind, rotate=rotate)
+
+    def behind(self, view: PosedView, environment: Environment, *, rotate: float) -> Tensor | float:
+        """What is behind one view under an environment: display values (H, W, 3), or a grey."""
+        environment = environment.to(self.device)
+        return self.background.behind(view.camera, self.background.seen_of(environment), rotate=rotate)
+
+    def shade(
+        self, view: PosedView, light: FilteredLight, behind: Tensor | float, *, rotate: float
+    ) -> Rendering:
+        """Shade a view and put display values behind it."""
+        return self.avatar.shade(
+            view.motion, view.gbuffer, view.camera, light, rotate=rotate, background=behind
+        )

@@ -1,0 +1,65 @@
+"""Videos of rendered layers, by the ffmpeg that imageio-ffmpeg brings."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from pathlib import Path
+from types import TracebackType
+
+import imageio_ffmpeg
+import numpy as np
+
+from samira_warp.support.errors import UserError
+
+Stream = Generator[None, np.ndarray | None, None]
+"""What takes the frames of a video, one by one."""
+
+
+class VideoWriter:
+    """An H.264 video that grows frame by frame; use as a context manager."""
+
+    def __init__(self, path: Path, *, frames_per_second: float) -> None:
+        """Nothing is written before the first frame, whose size is the video's."""
+        self.path, self.frames_per_second = path, frames_per_second
+        self._writer: Stream | None = None
+
+    def __enter__(self) -> VideoWriter:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, value: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._writer is not None:
+            self._writer.close()
+
+    def add(self, picture: np.ndarray) -> None:
+        """Append one (H, W, 3) uint8 frame.
+
+        Odd sizes lose their last row or column, which the codec cannot hold.
+
+        Raises:
+            UserError: The first frame is too small.
+        """
+        height, width = (size - size % 2 for size in picture.shape[:2])
+        if self._writer is None:
+            self._writer = self._open(picture, width=width, height=height)
+        self._writer.send(np.ascontiguousarray(picture[:height, :width]))
+
+    def _open(self, picture: np.ndarray, *, width: int, height: int) -> Stream:
+        """Start the video with the size of its first frame."""
+        if min(height, width) == 0:
+            raise UserError(
+                self.path,
+                expected="frames of at least 2 x 2 pixels",
+                found=f"{picture.shape[1]} x {picture.shape[0]}",
+            )
+        writer: Stream = imageio_ffmpeg.write_frames(
+            str(self.path),
+            (width, height),
+            fps=self.frames_per_second,
+            quality=8,
+            macro_block_size=1,
+            ffmpeg_log_level="error",
+        )
+        writer.send(None)
+        return writer
