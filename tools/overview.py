@@ -1,5 +1,6 @@
-"""Make one picture of an avatar: a frame as captured, its albedo and normals, and the frame under other
-lights, each light behind the head.
+"""Make one picture of an avatar: as captured, its albedo and normals, and under other lights.
+
+Each light is behind the head.
 
 usage: python tools/overview.py --avatar DIR --env FILE.hdr ... --out FILE.png [--frame N] [--resolution N]
 """
@@ -14,17 +15,18 @@ import torch
 
 from samira_warp.avatar import Avatar, read_frames
 from samira_warp.io.images import write_png
-from samira_warp.light import Environment, encode_srgb
+from samira_warp.light import Environment
 from samira_warp.stage.layers import layer_image
 from samira_warp.support.cli import run
 from samira_warp.support.errors import UserError
 
+EXPOSURE = 0.8
+"""Mean irradiance of every light: faces are then about as bright as in the frame as captured."""
+
 
 @dataclass(frozen=True)
 class OverviewConfig:
-    """Make one picture of an avatar: a frame as captured, its albedo and normals, and the frame under other
-    lights.
-    """
+    """Make one picture of an avatar: as captured, its albedo and normals, and under other lights."""
 
     avatar: Path
     """Avatar folder, or the run folder that it is in."""
@@ -49,16 +51,10 @@ def main(config: OverviewConfig) -> None:
     captured = avatar.render(frame.parameters, camera)
     panels = [layer_image(captured, layer).picture for layer in ("image", "albedo", "normal")]
     for path in config.env:
-        environment = _exposed(Environment.load(path))
-        background = encode_srgb(environment.background(camera)).clamp(max=1.0)
+        environment = Environment.load(path, exposure="auto").exposed(EXPOSURE)
+        background = environment.background(camera, color_space=avatar.settings.color_space)
         panels.append(avatar.render(frame.parameters, camera, environment, background=background).image)
     write_png(config.out, torch.cat(panels, dim=1).clamp(0.0, 1.0).numpy())
-
-
-def _exposed(environment: Environment) -> Environment:
-    """The light at the exposure at which the mean irradiance is 0.8."""
-    gain = 0.8 / environment.filtered().irradiance.mean()
-    return Environment.from_cubemaps(environment.diffuse * gain, environment.specular * gain)
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, fields
+from numbers import Real
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -38,7 +39,6 @@ from samira_warp.light import (
     shade,
     to_display,
 )
-from samira_warp.light.equirect import turn_directions
 from samira_warp.nets import Conditions, ConditionStatistics, MotionNetwork, MotionSettings
 from samira_warp.support.errors import UserError
 from samira_warp.surface import Surface
@@ -239,9 +239,7 @@ class Avatar(nn.Module):
         camera: Camera,
         environment: Environment | FilteredLight | None = None,
         *,
-        rotate: float = 0.0,
         background: torch.Tensor | float = 1.0,
-        exposure: float = 1.0,
         edits: Sequence[MaterialEdit] = (),
     ) -> Rendering:
         """Render one frame.
@@ -249,22 +247,25 @@ class Avatar(nn.Module):
         Args:
             parameters: The head's pose and expression, on any device.
             camera: The view, on any device.
-            environment: The light, on any device; None is the learned capture light. To reuse an environment,
-                filter it once (`Environment.filtered`).
-            rotate: Degrees by which the light is turned about the vertical, as `Environment.load` does it.
-            background: Display values behind the head: a number or (H, W, 3).
-            exposure: Factor on the shaded linear colour.
+            environment: The light as it is turned and exposed, on any device; None is the learned capture
+                light. To reuse an environment, filter it once (`Environment.filtered`).
+            background: Display values behind the head: a number, or float32 (3,) or (H, W, 3) on any device,
+                such as `Environment.background`.
             edits: Changes to the materials, applied in their order.
+
+        Raises:
+            UserError: The background is of another shape or dtype.
         """
         device = self.gaussians.means.device
         camera = camera.to(device)
         motion = self.move(parameters.to(device))
         gbuffer = self.rasterize(motion, camera, edits=edits)
-        light = environment.filtered() if isinstance(environment, Environment) else environment
-        light = self.light() if light is None else light.to(device)
-        return self.shade(
-            motion, gbuffer, camera, light, rotate=rotate, background=background, exposure=exposure
-        )
+        light = self.light() if environment is None else environment.to(device)
+        if isinstance(light, Environment):
+            light = light.filtered()
+        if isinstance(background, torch.Tensor):
+            background = background.to(device)
+        return self.shade(motion, gbuffer, camera, light, background=background)
 
     def shade(
         self,
@@ -273,26 +274,18 @@ class Avatar(nn.Module):
         camera: Camera,
         light: FilteredLight,
         *,
-        rotate: float = 0.0,
         background: torch.Tensor | float = 1.0,
-        exposure: float = 1.0,
     ) -> Rendering:
         """Deferred shading and compositing of a G-buffer (Eqs. response_shading to alpha_compose).
 
-        The other arguments are as for `render`.
+        Arguments as for `render`, but on the avatar's device.
+
+        Raises:
+            UserError: The background is of another shape or dtype, or on another device.
         """
-        shaded = _shade_pixels(
-            gbuffer,
-            camera,
-            light,
-            rotate=rotate,
-            background=background,
-            exposure=exposure,
-            color_space=self.settings.color_space,
-        )
-        return Rendering(
-            shaded.image, gbuffer, shaded.irradiance, shaded.specular_light, motion, self.settings.color_space
-        )
+        color_space = self.settings.color_space
+        shaded = _shade_pixels(gbuffer, camera, light, background=background, color_space=color_space)
+        return Rendering(shaded.image, gbuffer, shaded.irradiance, shaded.specular_light, motion, color_space)
 
     def display(self, values: torch.Tensor) -> torch.Tensor:
         """Albedo or radiance as a picture.
@@ -389,30 +382,37 @@ def _shade_pixels(
     camera: Camera,
     light: FilteredLight,
     *,
-    rotate: float,
     background: torch.Tensor | float,
-    exposure: float,
     color_space: ColorSpace,
 ) -> Shaded:
     """Shade and compose every pixel of a G-buffer; the maps of the result are (H, W, 3)."""
-    view = -camera.ray_directions()
     surface = gbuffer.map(lambda values: values.flatten(0, 1))
-    if rotate != 0.0:
-        # A light that turns is seen by a scene that turns the other way: nothing has to be filtered again.
-        view = turn_directions(view, rotate)
-        surface = surface.map(lambda directions: turn_directions(directions, rotate), blend="direction")
-    if isinstance(background, torch.Tensor):
-        background = background.expand_as(gbuffer.albedo).flatten(0, 1)
     shaded = shade(
         surface,
-        view.flatten(0, 1),
+        -camera.ray_directions().flatten(0, 1),
         light,
         alpha=gbuffer.alpha.flatten(0, 1),
-        background=background,
-        exposure=exposure,
+        background=_behind(background, gbuffer.albedo),
         color_space=color_space,
     )
     return Shaded(*(value.unflatten(0, gbuffer.alpha.shape[:2]) for value in shaded))
+
+
+def _behind(background: torch.Tensor | float, image: torch.Tensor) -> torch.Tensor | float:
+    """A background for the pixels of an image (H, W, 3), as `shade` takes it for points."""
+    if isinstance(background, Real):
+        return float(background)
+    found = type(background).__name__
+    if isinstance(background, torch.Tensor):
+        fits = background.shape in ((3,), image.shape)
+        if fits and (background.dtype, background.device) == (image.dtype, image.device):
+            return background.reshape(-1, 3)
+        found = f"{background.dtype} {tuple(background.shape)} on {background.device}".removeprefix("torch.")
+    raise UserError(
+        "background",
+        expected=f"a number, or float32 (3,) or {tuple(image.shape)} on {image.device}",
+        found=found,
+    )
 
 
 def _to_unit_cube(positions: torch.Tensor, valid: torch.Tensor) -> torch.Tensor:

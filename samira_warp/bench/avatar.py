@@ -49,10 +49,9 @@ SCENARIOS = (
 
 @torch.no_grad()
 def measure(device: torch.device, *, size: int) -> list[dict[str, object]]:
-    """Median milliseconds of a frame of the cpu preset's avatar (20,000 Gaussians), one row for every
-    scenario; 0 for what is cached.
+    """Median milliseconds of a frame of the cpu preset's avatar (20,000 Gaussians), a row a scenario.
 
-    The total is of whole frames, from their parameters on.
+    What is cached takes 0. The total is of whole frames, from their parameters on.
     """
     avatar, camera = make_avatar("cpu", device=device), make_camera(size).to(device)
     rows = []
@@ -109,7 +108,8 @@ def _frames(scenario: Scenario, avatar: Avatar, camera: Camera, stages: Stages) 
             with stages.stage("raster"):
                 gbuffer = avatar.rasterize(motion, view)
         with stages.stage("shading"):
-            avatar.shade(motion, gbuffer, view if scenario.raster else camera, light, exposure=exposure)
+            shown = view if scenario.raster else camera
+            avatar.shade(motion, gbuffer, shown, light.exposed(exposure))
 
     repeat(frame)
 

@@ -7,11 +7,14 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import torch
+from torch import Tensor
 
 from samira_warp.geometry.camera import Camera
 from samira_warp.io.images import write_exr
 from samira_warp.kernels.cubemap.layout import check_cubemap, texel_solid_angles
-from samira_warp.light.cross import cube_to_cross
+from samira_warp.light.color import ColorSpace, to_display
+from samira_warp.light.cross import cube_to_cross, resample_cube
+from samira_warp.light.equirect import check_degrees
 from samira_warp.light.filtered import FilteredLight
 from samira_warp.light.radiance_map import RadianceMap
 from samira_warp.support.errors import UserError
@@ -32,16 +35,24 @@ LUMINANCE = (0.2126, 0.7152, 0.0722)
 class Environment:
     """A distant light all around.
 
+    Its maps are the light's as it was read; how it is turned and how bright it is are two numbers beside
+    them. So `turned` and `exposed` copy no texel, and neither has to filter the light anew.
+
     Attributes:
         diffuse: (6, S, S, 3) float32 linear radiance that diffuse surfaces see.
         specular: (6, S', S', 3) float32 linear radiance that shiny surfaces see. A real light has one map for
             both.
         backdrop: What the camera sees of it, at its file's own resolution; None is ``specular``.
+        rotate: Degrees by which the light is turned about the vertical: direction d sees column
+            0.5 + atan2(d.x, -d.z) / (2 pi) + rotate / 360 of a panorama.
+        exposure: Factor on its radiance.
     """
 
-    diffuse: torch.Tensor
-    specular: torch.Tensor
+    diffuse: Tensor
+    specular: Tensor
     backdrop: RadianceMap | None = None
+    rotate: float = 0.0
+    exposure: float = 1.0
 
     @classmethod
     def load(
@@ -64,8 +75,7 @@ class Environment:
             path: The map; the diffuse map where ``specular`` is given; or an avatar's folder, for its learned
                 light.
             specular: The map that shiny surfaces and the camera see; default the same as ``path``.
-            rotate: Degrees: direction d sees column 0.5 + atan2(d.x, -d.z) / (2 pi) + rotate / 360 of a
-                panorama.
+            rotate: Degrees by which the light is turned.
             exposure: Factor of at least 0 on the radiance, or auto.
             size: Texels along a face of the resampled map, divisible by 16.
             ldr: Also take 8-bit pictures, decoded from sRGB.
@@ -75,28 +85,26 @@ class Environment:
                 shape, or holds values that are not finite; or auto is asked of a black map.
         """
         check_exposure(exposure)
-        if not math.isfinite(rotate):
-            raise UserError("rotate", expected="degrees", found=rotate)
+        check_degrees(rotate)
         if not isinstance(size, int) or size <= 0 or size % SPECULAR_MULTIPLE:
             raise UserError("size", expected=f"a positive multiple of {SPECULAR_MULTIPLE}", found=size)
         if specular is None and Path(path).is_dir():
             path, specular = learned_pair(path)
-        diffuse_map = replace(RadianceMap.read(path, ldr=ldr), rotate=rotate)
-        specular_map = (
-            diffuse_map if specular is None else replace(RadianceMap.read(specular, ldr=ldr), rotate=rotate)
-        )
+        diffuse_map = RadianceMap.read(path, ldr=ldr)
+        specular_map = diffuse_map if specular is None else RadianceMap.read(specular, ldr=ldr)
         specular_cube = _filterable(specular_map, size=size, multiple=SPECULAR_MULTIPLE)
         diffuse_cube = (
             specular_cube
             if specular is None
             else _filterable(diffuse_map, size=size, multiple=DIFFUSE_MULTIPLE)
         )
-        return cls(diffuse_cube, specular_cube, specular_map).exposed(exposure, name=path)
+        return cls(diffuse_cube, specular_cube, specular_map, rotate).exposed(exposure, name=path)
 
     @classmethod
-    def from_cubemaps(cls, diffuse: torch.Tensor, specular: torch.Tensor) -> Environment:
-        """A light of two maps (6, S, S, 3) of linear radiance, such as a learned one: S even, and divisible
-        by 16 for ``specular``.
+    def from_cubemaps(cls, diffuse: Tensor, specular: Tensor) -> Environment:
+        """A light of two maps (6, S, S, 3) of linear radiance, such as a learned one.
+
+        S is even, and divisible by 16 for ``specular``.
 
         Raises:
             UserError: A map is of another shape or dtype, or they are on two devices.
@@ -113,29 +121,55 @@ class Environment:
         return cls(diffuse, specular)
 
     def save(self, folder: Path) -> None:
-        """Write the two cubemaps into a folder as crosses of 32-bit floats, which `load` gives back bit by
-        bit.
+        """Write the two cubemaps as crosses of 32-bit floats, which `load` gives back bit by bit.
+
+        A light that is turned or exposed is written so: files have texels alone.
         """
         for name, cubemap in ((DIFFUSE_FILE, self.diffuse), (SPECULAR_FILE, self.specular)):
-            write_exr(folder / name, cube_to_cross(cubemap.detach()).cpu().numpy())
+            turned = resample_cube(cubemap.detach(), size=cubemap.shape[1], rotate=self.rotate)
+            write_exr(folder / name, cube_to_cross(self.exposure * turned).cpu().numpy())
 
     def filtered(self) -> FilteredLight:
         """Irradiance and prefiltered mips. Takes a second or two for a map of 256: keep the result."""
         light = FilteredLight.of(self.diffuse, self.specular)
         # Sums over the cube's parities round to some 1e-7 of the brightest light, which may fall below 0
         # where no light is.
-        return FilteredLight(light.irradiance.clamp(min=0), tuple(mip.clamp(min=0) for mip in light.specular))
+        maps = light.irradiance.clamp(min=0), tuple(mip.clamp(min=0) for mip in light.specular)
+        return FilteredLight(*maps, self.rotate, self.exposure)
 
-    def background(self, camera: Camera, *, rotate: float = 0.0) -> torch.Tensor:
-        """(H, W, 3) linear radiance that the camera sees behind the head, the light turned by so many degrees
-        more.
+    def background(self, camera: Camera, *, color_space: ColorSpace = "srgb") -> Tensor:
+        """(H, W, 3) display values that the camera sees behind the head, 0 to 1: a background to render with.
+
+        To see one light through many cameras, or from many sides, keep its `display_map`.
+
+        Args:
+            camera: The view, on any device.
+            color_space: What the avatar's shading works in (``avatar.settings.color_space``).
         """
-        return self.visible.behind(camera, rotate=rotate)
+        return self.display_map(color_space=color_space).behind(camera, rotate=self.rotate)
+
+    def display_map(self, *, color_space: ColorSpace = "srgb") -> RadianceMap:
+        """What the camera sees of the light as display values, 0 to 1, exposed but not turned.
+
+        Values are clipped and encoded before they are interpolated: in radiance, a texel of a lamp would
+        cover all the pixels between it and its neighbours, in steps.
+        """
+        texels = self.visible.texels if self.exposure == 1.0 else self.exposure * self.visible.texels
+        return RadianceMap(to_display(texels, color_space=color_space).clamp(0.0, 1.0))
 
     @property
     def visible(self) -> RadianceMap:
-        """What the camera sees of the light."""
+        """What the camera sees of the light, neither turned nor exposed."""
         return self.backdrop or RadianceMap(self.specular)
+
+    def turned(self, degrees: float) -> Environment:
+        """The light turned by so many degrees more.
+
+        Raises:
+            UserError: They are not finite.
+        """
+        check_degrees(degrees)
+        return replace(self, rotate=self.rotate + degrees)
 
     def exposed(self, exposure: Exposure, *, name: object = "environment") -> Environment:
         """The light times a factor, or at the exposure ``auto``.
@@ -152,20 +186,19 @@ class Environment:
             if luminance <= 0.0:
                 raise UserError(name, expected="some light, to expose automatically", found="a black map")
             exposure = 1.0 / luminance
-        backdrop = None if self.backdrop is None else self.backdrop.exposed(exposure)
-        return Environment(self.diffuse * exposure, self.specular * exposure, backdrop)
+        return replace(self, exposure=self.exposure * exposure)
 
-    def mean_irradiance(self) -> torch.Tensor:
-        """(3,) float64 mean over all directions of E_d, which is the mean of the radiance that diffuse
-        surfaces see.
-        """
+    def mean_irradiance(self) -> Tensor:
+        """(3,) float64 mean over all directions of E_d: that of the radiance that diffuse surfaces see."""
         areas = texel_solid_angles(self.diffuse.shape[1], dtype=torch.float64, device=self.diffuse.device)
-        return (self.diffuse.double() * areas[..., None]).sum(dim=(0, 1, 2)) / (4.0 * math.pi)
+        total = (self.diffuse.double() * areas[..., None]).sum(dim=(0, 1, 2))
+        return self.exposure * total / (4.0 * math.pi)
 
     def to(self, device: torch.device | str) -> Environment:
         """The same light on ``device``."""
         backdrop = None if self.backdrop is None else self.backdrop.to(device)
-        return Environment(self.diffuse.to(device), self.specular.to(device), backdrop)
+        diffuse, specular = self.diffuse.to(device), self.specular.to(device)
+        return replace(self, diffuse=diffuse, specular=specular, backdrop=backdrop)
 
 
 def learned_pair(folder: str | Path) -> tuple[Path, Path]:
@@ -181,8 +214,8 @@ def learned_pair(folder: str | Path) -> tuple[Path, Path]:
     raise UserError(folder, expected=f"a learned light, {DIFFUSE_FILE} and {SPECULAR_FILE}", found="none")
 
 
-def _filterable(radiance: RadianceMap, *, size: int, multiple: int) -> torch.Tensor:
+def _filterable(radiance: RadianceMap, *, size: int, multiple: int) -> Tensor:
     """The cubemap of a map: as it is where it can be, else at ``size``."""
     own = radiance.face_size
-    as_it_is = own is not None and own <= size and own % multiple == 0 and radiance.rotate == 0.0
-    return radiance.to_cube(own if as_it_is else size)
+    as_it_is = own is not None and own <= size and own % multiple == 0
+    return radiance.texels if as_it_is else radiance.to_cube(size)

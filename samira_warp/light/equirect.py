@@ -2,14 +2,17 @@
 
 Direction d sees column u = 0.5 + atan2(d.x, -d.z) / (2 pi) + rotate / 360 (mod 1, from the left) and row
 acos(d.y) / pi (from the top): the centre column lies straight ahead of the camera (-z), the right-hand
-quarter along +x.
+quarter along +x. Panoramas are read with rotate = 0; a light that is turned is looked up in other directions
+(`turn_directions`).
 """
 
 from __future__ import annotations
 
 import math
+from numbers import Real
 
 import torch
+from torch import Tensor
 
 from samira_warp.kernels.cubemap.layout import FACES, texel_directions, texel_solid_angles
 from samira_warp.kernels.cubemap.lookup import sample_cubemap
@@ -21,7 +24,7 @@ _SAMPLES_PER_PIXEL = 3
 a map to some 1e-3."""
 
 
-def equirect_to_cube(equirect: torch.Tensor, *, size: int, rotate: float = 0.0) -> torch.Tensor:
+def equirect_to_cube(equirect: Tensor, *, size: int) -> Tensor:
     """Resample a panorama as a cubemap; each texel is the mean over its solid angle.
 
     A panorama much finer than the cubemap is first averaged by solid angle in whole blocks of pixels, then
@@ -31,7 +34,6 @@ def equirect_to_cube(equirect: torch.Tensor, *, size: int, rotate: float = 0.0) 
     Args:
         equirect: (H, W, C) float32, linear.
         size: S.
-        rotate: Degrees by which the light turns, as in the file's head.
 
     Returns:
         (6, S, S, C) float32, differentiable in ``equirect``.
@@ -56,17 +58,14 @@ def equirect_to_cube(equirect: torch.Tensor, *, size: int, rotate: float = 0.0) 
     total = equirect.new_zeros(FACES, size, size, equirect.shape[2])
     for j in range(samples):
         for i in range(samples):
-            total = total + areas[:, j, :, i, None] * _look_up(
-                padded, directions[:, :, j, :, i], rotate=rotate
-            )
+            total = total + areas[:, j, :, i, None] * _look_up(padded, directions[:, :, j, :, i])
     return total / areas.sum(dim=(1, 3))[..., None]
 
 
-def cube_to_equirect(cubemap: torch.Tensor, *, height: int) -> torch.Tensor:
-    """Resample a cubemap (6, S, S, C) float32 as a panorama (height, 2 height, C) with rotate = 0;
-    differentiable.
+def cube_to_equirect(cubemap: Tensor, *, height: int) -> Tensor:
+    """Resample a cubemap (6, S, S, C) float32 as a panorama (height, 2 height, C) with rotate = 0.
 
-    Each pixel averages samples at least as dense as the texels.
+    Differentiable. Each pixel averages samples at least as dense as the texels.
     """
     samples = max(1, math.ceil(2 * cubemap.shape[1] / height))
     directions = equirect_directions(height * samples, device=cubemap.device)
@@ -74,31 +73,43 @@ def cube_to_equirect(cubemap: torch.Tensor, *, height: int) -> torch.Tensor:
     return seen.view(height, samples, 2 * height, samples, -1).mean(dim=(1, 3))
 
 
-def direction_to_equirect(
-    directions: torch.Tensor, *, rotate: float = 0.0
-) -> tuple[torch.Tensor, torch.Tensor]:
-    """Column u and row v, each (...) in [0, 1], that unit directions (..., 3) see."""
-    u = 0.5 + torch.atan2(directions[..., 0], -directions[..., 2]) / (2 * math.pi) + rotate / 360.0
+def direction_to_equirect(directions: Tensor) -> tuple[Tensor, Tensor]:
+    """Column u and row v, each (...) in [0, 1], that unit directions (..., 3) see with rotate = 0."""
+    u = 0.5 + torch.atan2(directions[..., 0], -directions[..., 2]) / (2 * math.pi)
     v = torch.acos(directions[..., 1].clamp(-1, 1)) / math.pi
     return u - torch.floor(u), v
 
 
-def row_solid_angles(height: int, width: int, *, device: torch.device | str = "cpu") -> torch.Tensor:
+def row_solid_angles(height: int, width: int, *, device: torch.device | str = "cpu") -> Tensor:
     """(height,) float64 solid angle of a panorama's pixels by row, exact, steradians."""
     edges = torch.cos(torch.linspace(0.0, math.pi, height + 1, dtype=torch.float64, device=device))
     return (edges[:-1] - edges[1:]) * (2.0 * math.pi / width)
 
 
-def turn_directions(directions: torch.Tensor, rotate: float) -> torch.Tensor:
-    """Where to look up, in a light as it was, what unit directions (..., 3) see of it once it is turned by
-    ``rotate`` degrees.
+def turn_directions(directions: Tensor, rotate: float) -> Tensor:
+    """Where to look up, in a light as it was, what directions see of it once it is turned.
+
+    Args:
+        directions: (..., 3) unit directions.
+        rotate: Degrees by which the light is turned.
+
+    Raises:
+        UserError: They are no directions.
     """
+    if directions.shape[-1:] != (3,):
+        raise UserError("directions", expected="(..., 3)", found=tuple(directions.shape))
     cosine, sine = math.cos(math.radians(rotate)), math.sin(math.radians(rotate))
     x, y, z = directions.unbind(dim=-1)
     return torch.stack([cosine * x - sine * z, y, sine * x + cosine * z], dim=-1)
 
 
-def equirect_directions(height: int, *, device: torch.device | str = "cpu") -> torch.Tensor:
+def check_degrees(degrees: float) -> None:
+    """Raise UserError unless ``degrees`` are finite."""
+    if not (isinstance(degrees, Real) and math.isfinite(degrees)):
+        raise UserError("rotate", expected="degrees", found=degrees)
+
+
+def equirect_directions(height: int, *, device: torch.device | str = "cpu") -> Tensor:
     """(height, 2 height, 3) float32 unit directions of a panorama's pixel centres, rotate = 0."""
     polar = (torch.arange(height, dtype=torch.float64, device=device) + 0.5) * (math.pi / height)
     around = (torch.arange(2 * height, dtype=torch.float64, device=device) + 0.5) * (
@@ -113,9 +124,10 @@ def equirect_directions(height: int, *, device: torch.device | str = "cpu") -> t
     return torch.stack(directions, dim=-1).to(torch.float32)
 
 
-def wrap_equirect(equirect: torch.Tensor, *, border: int = 1) -> torch.Tensor:
-    """(H + 2 border, W + 2 border, C): beyond the seam comes the other end of the row, beyond a pole its
-    other side.
+def wrap_equirect(equirect: Tensor, *, border: int = 1) -> Tensor:
+    """(H + 2 border, W + 2 border, C) panorama with what lies beyond its edges.
+
+    Beyond the seam comes the other end of the row, beyond a pole its other side.
     """
     height, width = equirect.shape[:2]
     rows = torch.arange(-border, height + border, device=equirect.device)
@@ -128,10 +140,8 @@ def wrap_equirect(equirect: torch.Tensor, *, border: int = 1) -> torch.Tensor:
     return equirect[rows[:, None], columns]
 
 
-def _shrink(equirect: torch.Tensor, *, columns: int) -> torch.Tensor:
-    """Average whole blocks of pixels, weighted by solid angle, while at least ``columns`` columns are
-    left.
-    """
+def _shrink(equirect: Tensor, *, columns: int) -> Tensor:
+    """Average whole blocks of pixels, weighted by solid angle, while enough columns are left."""
     height, width, channels = equirect.shape
     factor = math.gcd(height, width)
     factor = max(f for f in range(1, factor + 1) if factor % f == 0 and (f == 1 or width // f >= columns))
@@ -145,10 +155,10 @@ def _shrink(equirect: torch.Tensor, *, columns: int) -> torch.Tensor:
     return rows.view(height // factor, width // factor, factor, channels).mean(dim=2)
 
 
-def _look_up(padded: torch.Tensor, directions: torch.Tensor, *, rotate: float) -> torch.Tensor:
+def _look_up(padded: Tensor, directions: Tensor) -> Tensor:
     """(..., C) bilinear values of a panorama with one pixel of border."""
     height, width = padded.shape[0] - 2, padded.shape[1] - 2
-    u, v = direction_to_equirect(directions, rotate=rotate)
+    u, v = direction_to_equirect(directions)
     # Pixel centres of the panorama lie at 1.5, 2.5, ... of the padded one.
     grid = torch.stack(
         [2 * (u * width + 1) / (width + 2) - 1, 2 * (v * height + 1) / (height + 2) - 1], dim=-1

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
+from torch import Tensor
 
 from samira_warp.kernels.cubemap.filter import irradiance, prefilter
+from samira_warp.light.equirect import check_degrees
+from samira_warp.support.errors import UserError
+from samira_warp.support.exposure import check_exposure
 
 ROUGHNESS_STEP = 0.125
 """Roughness between one specular mip and the next; the first mip is the unfiltered light. Steps of 0.25 blur
@@ -22,21 +26,28 @@ _SHRINK = (2, 2, 4, 4, 8, 8, 8, 8)
 
 @dataclass(frozen=True, eq=False)
 class FilteredLight:
-    """A pure function of the radiance.
+    """A light as shading reads it: filtered once, then turned and exposed at no cost.
+
+    The maps are pure functions of the radiance as it was read.
 
     Attributes:
         irradiance: (6, 16, 16, 3) float32, E_d: the cosine-weighted mean radiance about each direction.
         specular: Mips (6, S, S, 3) float32: the radiance itself, then E_s at every ROUGHNESS_STEP up to a
             roughness of 1.
+        rotate: Degrees by which the light is turned about the vertical, as `Environment.rotate`.
+        exposure: Factor on its radiance.
     """
 
-    irradiance: torch.Tensor
-    specular: tuple[torch.Tensor, ...]
+    irradiance: Tensor
+    specular: tuple[Tensor, ...]
+    rotate: float = 0.0
+    exposure: float = 1.0
 
     @classmethod
-    def of(cls, diffuse: torch.Tensor, specular: torch.Tensor) -> FilteredLight:
-        """Filter two radiance maps (often one and the same) for diffuse and for specular light;
-        differentiable in both.
+    def of(cls, diffuse: Tensor, specular: Tensor) -> FilteredLight:
+        """Filter two radiance maps (often one and the same) for diffuse and for specular light.
+
+        Differentiable in both.
 
         Args:
             diffuse: (6, S, S, 3) float32 linear radiance, S even.
@@ -48,4 +59,25 @@ class FilteredLight:
 
     def to(self, device: torch.device | str) -> FilteredLight:
         """The same light on ``device``."""
-        return FilteredLight(self.irradiance.to(device), tuple(mip.to(device) for mip in self.specular))
+        moved = tuple(mip.to(device) for mip in self.specular)
+        return replace(self, irradiance=self.irradiance.to(device), specular=moved)
+
+    def turned(self, degrees: float) -> FilteredLight:
+        """The same light turned by so many degrees more.
+
+        Raises:
+            UserError: They are not finite.
+        """
+        check_degrees(degrees)
+        return replace(self, rotate=self.rotate + degrees)
+
+    def exposed(self, factor: float) -> FilteredLight:
+        """The same light times a factor.
+
+        Raises:
+            UserError: It is not a finite number of at least 0; what ``auto`` is, `Environment.exposed` says.
+        """
+        if factor == "auto":
+            raise UserError("exposure", expected="a factor, once a light is filtered", found=factor)
+        check_exposure(factor)
+        return replace(self, exposure=self.exposure * factor)

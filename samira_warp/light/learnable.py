@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from samira_warp.light.environment import Environment
 from samira_warp.light.filtered import FilteredLight
@@ -13,8 +13,9 @@ _RADIANCE_MIN = 1e-4
 
 
 class LearnableLight(nn.Module):
-    """Two cubemaps of radiance, for diffuse and for specular light, kept positive by softplus and bounded by
-    nothing; tied, they are one.
+    """Two cubemaps of radiance, for diffuse and for specular light; tied, they are one.
+
+    Softplus keeps them positive, nothing bounds them.
 
     Attributes:
         diffuse: (6, 16, 16, 3) float32 parameter; its softplus is radiance. None where diffuse surfaces see
@@ -23,7 +24,7 @@ class LearnableLight(nn.Module):
     """
 
     def __init__(
-        self, radiance: torch.Tensor, *, tied: bool = False, diffuse_size: int = 16, specular_size: int = 64
+        self, radiance: Tensor, *, tied: bool = False, diffuse_size: int = 16, specular_size: int = 64
     ) -> None:
         """Start as a uniform light.
 
@@ -34,6 +35,7 @@ class LearnableLight(nn.Module):
             specular_size: Size of the specular map, divisible by 16.
         """
         super().__init__()
+        self.diffuse: nn.Parameter | None
         # Inverse of softplus: log(exp(x) - 1), written so that it neither overflows nor cancels.
         radiance = radiance.detach().to(torch.float32).clamp(min=_RADIANCE_MIN)
         start = radiance + torch.log(-torch.expm1(-radiance))
@@ -41,10 +43,8 @@ class LearnableLight(nn.Module):
         self.register_parameter("diffuse", diffuse)
         self.specular = nn.Parameter(start.expand(6, specular_size, specular_size, 3).clone())
 
-    def radiance(self) -> tuple[torch.Tensor, torch.Tensor]:
-        """The diffuse and the specular map, (6, S, S, 3) linear radiance; one and the same where they are
-        tied.
-        """
+    def radiance(self) -> tuple[Tensor, Tensor]:
+        """The diffuse and the specular map, (6, S, S, 3) linear radiance; one and the same where tied."""
         specular = nn.functional.softplus(self.specular)
         return specular if self.diffuse is None else nn.functional.softplus(self.diffuse), specular
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from samira_warp.geometry.camera import Camera
 from samira_warp.io.images import Channels, is_linear, read_channels
@@ -24,18 +25,16 @@ class RadianceMap:
 
     Attributes:
         texels: (H, 2 H, 3) panorama or (6, S, S, 3) cubemap, float32 linear radiance.
-        rotate: Degrees by which it is turned, as the head of `samira_warp.light.equirect` has it.
     """
 
-    texels: torch.Tensor
-    rotate: float = 0.0
+    texels: Tensor
 
     @classmethod
     def read(cls, path: str | Path, *, ldr: bool = False) -> RadianceMap:
-        """Read a map of any size: an equirectangular panorama (2:1) or a cube cross, lying (4:3) or upright
-        (3:4).
+        """Read a map of any size.
 
-        The shape tells which it is. A single channel becomes grey; slightly negative values become 0.
+        An equirectangular panorama (2:1) or a cube cross, lying (4:3) or upright (3:4): the shape tells which
+        it is. A single channel becomes grey; slightly negative values become 0.
 
         Args:
             path: A floating-point file (.hdr, .exr).
@@ -50,8 +49,8 @@ class RadianceMap:
         if not linear and not ldr:
             raise UserError(
                 path,
-                expected="floating-point radiance (.hdr or .exr), because an 8-bit image clips the lamps and the sun that light a face "
-                "(--ldr takes it as it is)",
+                expected="floating-point radiance (.hdr or .exr), because an 8-bit image clips the lamps and "
+                "the sun that light a face (--ldr takes it as it is)",
                 found="whole numbers",
             )
         pixels = torch.from_numpy(np.ascontiguousarray(_rgb(read_channels(path), path)))
@@ -72,31 +71,25 @@ class RadianceMap:
         """S of a cubemap, None of a panorama."""
         return self.texels.shape[1] if self.texels.dim() == 4 else None
 
-    def to_cube(self, size: int) -> torch.Tensor:
-        """(6, size, size, 3) radiance, each texel the mean over its solid angle; a cubemap of that size that
-        is not turned is itself.
+    def to_cube(self, size: int) -> Tensor:
+        """(6, size, size, 3) radiance, each texel the mean over its solid angle.
+
+        A cubemap of that size is itself.
         """
         convert = equirect_to_cube if self.face_size is None else resample_cube
-        return convert(self.texels, size=size, rotate=self.rotate)
+        return convert(self.texels, size=size)
 
-    def look(self, directions: torch.Tensor) -> torch.Tensor:
-        """(..., 3) radiance that unit directions (..., 3) float32 see, smooth between the map's own
-        texels.
-        """
+    def look(self, directions: Tensor) -> Tensor:
+        """(..., 3) radiance that unit directions (..., 3) float32 see, smooth between the map's texels."""
         if self.face_size is None:
-            return picture_equirect(self.texels, directions, rotate=self.rotate)
-        turned = turn_directions(directions, self.rotate).reshape(-1, 3)
-        return sample_cubemap(self.texels, turned).view(directions.shape)
+            return picture_equirect(self.texels, directions)
+        return sample_cubemap(self.texels, directions.reshape(-1, 3)).view(directions.shape)
 
-    def behind(self, camera: Camera, *, rotate: float = 0.0) -> torch.Tensor:
-        """(H, W, 3) what a camera sees of it, turned by so many degrees more."""
+    def behind(self, camera: Camera, *, rotate: float = 0.0) -> Tensor:
+        """(H, W, 3) what a camera sees of it once it is turned by so many degrees."""
         return self.look(
             turn_directions(camera.to(self.texels.device).ray_directions().to(torch.float32), rotate)
         )
-
-    def exposed(self, factor: float) -> RadianceMap:
-        """The same map with its radiance multiplied."""
-        return self if factor == 1.0 else replace(self, texels=self.texels * factor)
 
     def to(self, device: torch.device | str) -> RadianceMap:
         """The same map on ``device``."""
@@ -104,8 +97,9 @@ class RadianceMap:
 
 
 def _rgb(channels: Channels, path: Path) -> np.ndarray:
-    """(H, W, 3) colour of a file's channels: R, G and B whatever is beside them, or the only one there is
-    beside alpha.
+    """(H, W, 3) colour of a file's channels.
+
+    R, G and B whatever is beside them, or the only one there is beside alpha.
     """
     names = channels.names
     if all(name in names for name in "RGB"):

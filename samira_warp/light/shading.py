@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 from torch import Tensor
 
 from samira_warp.kernels.shading.deferred import Shaded, shade_gbuffer
 from samira_warp.light.brdf import brdf_table
 from samira_warp.light.color import ColorSpace
+from samira_warp.light.equirect import turn_directions
 from samira_warp.light.filtered import FilteredLight
 from samira_warp.surface import Surface
 
@@ -19,13 +22,12 @@ def shade(
     *,
     alpha: Tensor | None = None,
     background: Tensor | float = 1.0,
-    exposure: float = 1.0,
     color_space: ColorSpace = "srgb",
 ) -> Shaded:
     """Shade M points of a G-buffer and compose them with what is behind.
 
     L_d = tau_d E_d(n), L_s = tau_s E_s(reflect(v, n), rho), C_fg = a (1 - f) L_d + L_s (f B_x + B_y), and
-    I = alpha encode(C_fg exposure) + (1 - alpha) background.
+    I = alpha encode(C_fg) + (1 - alpha) background; E_d and E_s are the light's as it is turned and exposed.
 
     Args:
         surface: Channels (M, width) float32. A point with a zero normal sees no light and gets no gradient;
@@ -35,7 +37,6 @@ def shade(
         alpha: (M, 1) coverage; None covers every point. Where it is below 1/255 there is no surface, and next
             to no work: C_fg, L_d and L_s are 0, and only alpha itself gets a gradient.
         background: Display values behind: a number, (M, 3), or (1, 3) for all points; a constant.
-        exposure: Factor on C_fg; a constant.
         color_space: "srgb" encodes C_fg; "raw" takes its values for display values.
 
     Returns:
@@ -44,6 +45,17 @@ def shade(
     Raises:
         UserError: A wrong shape, dtype or device; the light's maps are called irradiance and mips.
     """
+    if light.rotate != 0.0:
+        # A light that turns is seen by a scene that turns the other way: nothing has to be filtered again.
+        view = turn_directions(view, light.rotate)
+        surface = surface.map(lambda directions: turn_directions(directions, light.rotate), blend="direction")
+    if light.exposure != 1.0:
+        # L = tau E: a light that is so many times as bright is a surface that responds so many times as much.
+        surface = replace(
+            surface,
+            response_diffuse=light.exposure * surface.response_diffuse,
+            response_specular=light.exposure * surface.response_specular,
+        )
     device = light.irradiance.device
     if alpha is None:
         alpha = view.new_ones(len(view), 1)
@@ -57,6 +69,5 @@ def shade(
         mips=light.specular,
         brdf=brdf_table(device),
         background=background,
-        exposure=float(exposure),
         encoded=color_space == "srgb",
     )

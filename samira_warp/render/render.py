@@ -82,7 +82,7 @@ def material_edits(config: RenderConfig) -> tuple[MaterialEdit, ...]:
 
 def _render_sequence(config: RenderConfig, scene: Scene, frames: list[DrivingFrame]) -> int:
     light = scene.light(_light(config, scene.avatar))
-    shots = plan_shots(frames, rotate=config.rotate, turntable=config.turntable, frames_per_second=config.fps)
+    shots = plan_shots(frames, turntable=config.turntable, frames_per_second=config.fps)
     count = sum(len(shot.pictures) for shot in shots)
     _make_folders(config)
     with ExitStack() as stack:
@@ -95,7 +95,7 @@ def _render_sequence(config: RenderConfig, scene: Scene, frames: list[DrivingFra
         for shot in shots:
             view = scene.view(shot.frame)
             for name, degrees in shot.pictures:
-                rendering = scene.relight(view, light, rotate=degrees)
+                rendering = scene.relight(view, light.turned(degrees))
                 for layer in config.layers:
                     picture = write_layer(config.out / layer, name, layer_image(rendering, layer))
                     if layer in videos:
@@ -109,7 +109,7 @@ def _render_sheet(config: RenderConfig, scene: Scene, frame: DrivingFrame, maps:
     lights = [_sheet_light(config, scene, view, path) for path in maps]
     pictures: dict[Layer, list[np.ndarray]] = {layer: [] for layer in config.layers}
     for environment, behind in tqdm(lights, unit="light", dynamic_ncols=True):
-        rendering = scene.shade(view, environment.filtered(), behind, rotate=config.rotate)
+        rendering = scene.shade(view, environment.filtered(), behind)
         for layer, row in pictures.items():
             row.append(display_values(layer_image(rendering, layer)))
     _make_folders(config)
@@ -121,8 +121,9 @@ def _render_sheet(config: RenderConfig, scene: Scene, frame: DrivingFrame, maps:
 def _light(config: RenderConfig, avatar: Avatar) -> Environment:
     """The light of an image sequence: what --env names, else the learned light."""
     if config.env:
-        return read_light(config.env, exposure=config.exposure, ldr=config.ldr)
-    return avatar.light.environment().exposed(config.exposure, name="the learned light")
+        return read_light(config.env, rotate=config.rotate, exposure=config.exposure, ldr=config.ldr)
+    learned = avatar.light.environment().turned(config.rotate)
+    return learned.exposed(config.exposure, name="the learned light")
 
 
 def _sheet_light(
@@ -132,9 +133,9 @@ def _sheet_light(
 
     All are read before the work on any begins, and none keeps its map, which may be large.
     """
-    environment = read_sheet_light(path, exposure=config.exposure, ldr=config.ldr).to(scene.device)
-    behind = scene.behind(view, environment, rotate=config.rotate)
-    return replace(environment, backdrop=None), behind
+    environment = read_sheet_light(path, rotate=config.rotate, exposure=config.exposure, ldr=config.ldr)
+    environment = environment.to(scene.device)
+    return replace(environment, backdrop=None), scene.behind(view, environment)
 
 
 def _make_folders(config: RenderConfig) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +10,7 @@ from torch import Tensor
 
 from samira_warp.geometry.camera import Camera
 from samira_warp.io.images import is_linear, read_on_white, resize_box
-from samira_warp.light import ColorSpace, Environment, encode_srgb, to_display
+from samira_warp.light import ColorSpace, Environment, encode_srgb
 from samira_warp.light.radiance_map import RadianceMap
 from samira_warp.support.errors import UserError
 
@@ -35,24 +34,16 @@ class Background:
         self._picture = None if name == "env" or name in GREYS else _Picture(name)
 
     def seen_of(self, environment: Environment) -> RadianceMap | None:
-        """What is seen of an environment, as a map of display values; None where it is not behind the head.
+        """What is seen of an environment, in display values; None where it is not behind the head."""
+        return environment.display_map(color_space=self._color_space) if self._name == "env" else None
 
-        The values are clipped and encoded before they are interpolated: in radiance, a texel of a lamp would
-        cover all the pixels between it and its neighbours, in steps.
-        """
-        if self._name != "env":
-            return None
-        visible = environment.visible
-        shown = to_display(visible.texels, color_space=self._color_space).clamp(0.0, 1.0)
-        return replace(visible, texels=shown)
-
-    def behind(self, camera: Camera, seen: RadianceMap | None, *, rotate: float) -> Tensor | float:
+    def behind(self, camera: Camera, seen: RadianceMap | None, *, rotate: float = 0.0) -> Tensor | float:
         """A grey, or (H, W, 3) display values: the picture, or the environment as the camera sees it.
 
         Args:
             camera: The view.
             seen: What `seen_of` gave for the light.
-            rotate: Degrees by which it is turned.
+            rotate: Degrees by which the light is turned.
         """
         if seen is not None:
             return seen.behind(camera, rotate=rotate)

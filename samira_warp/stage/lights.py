@@ -21,11 +21,14 @@ SHEET_SIZE = 128
 of 256 x 256 pixels differ by 0.02 of 255 levels on average, and by 3 at most."""
 
 
-def read_light(paths: Sequence[Path], *, exposure: Exposure = 1.0, ldr: bool = False) -> Environment:
+def read_light(
+    paths: Sequence[Path], *, rotate: float = 0.0, exposure: Exposure = 1.0, ldr: bool = False
+) -> Environment:
     """One light: a map, a diffuse map and a specular one, or a folder with a learned light.
 
     Args:
         paths: One path or two.
+        rotate: Degrees by which the light is turned.
         exposure: Factor on the light, or auto.
         ldr: Also take 8-bit pictures.
 
@@ -36,7 +39,7 @@ def read_light(paths: Sequence[Path], *, exposure: Exposure = 1.0, ldr: bool = F
         raise UserError(
             "--env", expected="one map, two (diffuse and specular) or a folder", found=f"{len(paths)} files"
         )
-    return Environment.load(*paths, exposure=exposure, ldr=ldr)
+    return Environment.load(*paths, rotate=rotate, exposure=exposure, ldr=ldr)
 
 
 def sheet_paths(paths: Sequence[Path], *, ldr: bool = False) -> list[Path] | None:
@@ -71,13 +74,15 @@ def sheet_labels(maps: Sequence[Path]) -> list[str]:
     return [path.name if stems.count(path.stem) > 1 else path.stem for path in maps]
 
 
-def read_sheet_light(path: Path, *, exposure: Exposure = 1.0, ldr: bool = False) -> Environment:
+def read_sheet_light(
+    path: Path, *, rotate: float = 0.0, exposure: Exposure = 1.0, ldr: bool = False
+) -> Environment:
     """One light of a contact sheet, at its size.
 
     Raises:
         UserError: The map cannot be used.
     """
-    return Environment.load(path, exposure=exposure, ldr=ldr, size=SHEET_SIZE)
+    return Environment.load(path, rotate=rotate, exposure=exposure, ldr=ldr, size=SHEET_SIZE)
 
 
 def _holds_learned_light(folder: Path) -> bool:

@@ -29,15 +29,19 @@ class PosedView(NamedTuple):
 
 
 class SceneLight(NamedTuple):
-    """A light as it is used for every picture.
+    """A light as it is used for many pictures.
 
     Attributes:
         filtered: What shading needs of it.
-        seen: What is behind the head of it, in display values; None where something else is.
+        seen: What is behind the head of it, in display values, not turned; None where something else is.
     """
 
     filtered: FilteredLight
     seen: RadianceMap | None
+
+    def turned(self, degrees: float) -> SceneLight:
+        """The same light turned by so many degrees more, before the head and behind it."""
+        return self._replace(filtered=self.filtered.turned(degrees))
 
 
 class Scene(NamedTuple):
@@ -68,20 +72,16 @@ class Scene(NamedTuple):
         environment = environment.to(self.device)
         return SceneLight(environment.filtered(), self.background.seen_of(environment))
 
-    def relight(self, view: PosedView, light: SceneLight, *, rotate: float) -> Rendering:
-        """Shade a view under a light that is turned by so many degrees, and put the background behind it."""
-        behind = self.background.behind(view.camera, light.seen, rotate=rotate)
-        return self.shade(view, light.filtered, behind, rotate=rotate)
+    def relight(self, view: PosedView, light: SceneLight) -> Rendering:
+        """Shade a view under a light, and put the background behind it."""
+        behind = self.background.behind(view.camera, light.seen, rotate=light.filtered.rotate)
+        return self.shade(view, light.filtered, behind)
 
-    def behind(self, view: PosedView, environment: Environment, *, rotate: float) -> Tensor | float:
+    def behind(self, view: PosedView, environment: Environment) -> Tensor | float:
         """What is behind one view under an environment: display values (H, W, 3), or a grey."""
-        environment = environment.to(self.device)
-        return self.background.behind(view.camera, self.background.seen_of(environment), rotate=rotate)
+        seen = self.background.seen_of(environment.to(self.device))
+        return self.background.behind(view.camera, seen, rotate=environment.rotate)
 
-    def shade(
-        self, view: PosedView, light: FilteredLight, behind: Tensor | float, *, rotate: float
-    ) -> Rendering:
+    def shade(self, view: PosedView, light: FilteredLight, behind: Tensor | float) -> Rendering:
         """Shade a view and put display values behind it."""
-        return self.avatar.shade(
-            view.motion, view.gbuffer, view.camera, light, rotate=rotate, background=behind
-        )
+        return self.avatar.shade(view.motion, view.gbuffer, view.camera, light, background=behind)

@@ -12,7 +12,7 @@ class Shot(NamedTuple):
 
     Attributes:
         frame: The head and the camera.
-        pictures: Name and degrees by which the light is turned, of each picture.
+        pictures: Name and degrees by which the light is turned further, of each picture.
     """
 
     frame: DrivingFrame
@@ -20,7 +20,7 @@ class Shot(NamedTuple):
 
 
 def plan_shots(
-    frames: list[DrivingFrame], *, rotate: float, turntable: float | None, frames_per_second: float
+    frames: list[DrivingFrame], *, turntable: float | None, frames_per_second: float
 ) -> list[Shot]:
     """The pictures of a rendered sequence, in order.
 
@@ -30,23 +30,22 @@ def plan_shots(
 
     Args:
         frames: What to render.
-        rotate: Degrees by which the light is turned at first.
         turntable: Seconds of one turn, or None.
         frames_per_second: Pictures a second.
     """
     if turntable is None:
-        return [Shot(frame, ((frame.name, rotate),)) for frame in frames]
+        return [Shot(frame, ((frame.name, 0.0),)) for frame in frames]
     pictures_per_turn = turntable * frames_per_second
     if len(frames) > 1:
         return [
-            Shot(frame, ((frame.name, rotate + 360.0 * index / pictures_per_turn),))
+            Shot(frame, ((frame.name, 360.0 * index / pictures_per_turn),))
             for index, frame in enumerate(frames)
         ]
     count = max(round(pictures_per_turn), 1)
     return [
         Shot(
             frame,
-            tuple((f"{frame.name}_{index:04d}", rotate + 360.0 * index / count) for index in range(count)),
+            tuple((f"{frame.name}_{index:04d}", 360.0 * index / count) for index in range(count)),
         )
         for frame in frames
     ]

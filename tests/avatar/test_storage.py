@@ -275,7 +275,7 @@ def test_what_drives_an_avatar_may_be_on_another_device(copy):
     with torch.no_grad():
         light = Avatar.load(copy).light.environment()
         unfiltered = avatar.render(frame, view, light)
-        assert torch.equal(avatar.render(frame, view, light.filtered()).image, unfiltered.image)
+        assert torch.equal(avatar.render(frame, view, light.to("cuda").filtered()).image, unfiltered.image)
         there = avatar.render(frame.to("cuda"), view.to("cuda"))
         here = avatar.render(frame, view)
     assert here.image.device.type == "cuda"

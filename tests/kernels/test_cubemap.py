@@ -157,7 +157,7 @@ def test_every_linear_operator_has_its_exact_adjoint(device, generator):
         generator,
     )
     assert is_adjoint(
-        lambda x: equirect_to_cube(x, size=8, rotate=30.0),
+        lambda x: equirect_to_cube(x, size=8),
         torch.randn(16, 32, 3, generator=generator).to(device),
         generator,
     )

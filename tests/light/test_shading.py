@@ -1,4 +1,5 @@
 import inspect
+import math
 import re
 from dataclasses import replace
 
@@ -7,7 +8,7 @@ import torch
 
 from samira_warp.kernels.shading import deferred
 from samira_warp.kernels.shading.deferred import shade_gbuffer
-from samira_warp.light import FilteredLight, Shaded, compose, decode_srgb, encode_srgb, shade
+from samira_warp.light import FilteredLight, Shaded, compose, decode_srgb, encode_srgb, shade, shading
 from samira_warp.light.brdf import brdf_table
 from samira_warp.reference.shading import deferred as reference
 from samira_warp.support.errors import UserError
@@ -143,6 +144,54 @@ def test_a_light_is_shaded_as_its_maps_are(device, generator):
     assert all(map(torch.equal, shade(surface, view, light), wanted))
 
 
+def test_a_light_is_turned_and_exposed_as_the_reference_is(device, generator):
+    """Every output and gradient, against maps of another brightness and a scene that is turned in float64."""
+    surface, view = make_points(1000, generator)
+    maps = [torch.rand(6, size, size, 3, generator=generator, dtype=torch.float64) for size in (16, 16, 8, 4)]
+    upstream = [torch.randn(1000, 3, generator=generator, dtype=torch.float64) for _ in Shaded._fields]
+    # what turns by 50 degrees is seen by a scene whose azimuths atan2(x, -z) grow by as much
+    cosine, sine = math.cos(math.radians(50)), math.sin(math.radians(50))
+    turn = torch.tensor([[cosine, 0, sine], [0, 1, 0], [-sine, 0, cosine]], dtype=torch.float64)
+
+    exact = [values.clone().requires_grad_() for values in (*tensors(surface), view, *maps)]
+    first, *mips = (0.7 * texels for texels in exact[-len(maps) :])
+    channels = dict(zip(CHANNELS, exact, strict=False))
+    expected = reference.shade_gbuffer(
+        Surface(**{**channels, "normal": channels["normal"] @ turn}),
+        exact[len(CHANNELS)] @ turn,
+        torch.ones(1000, 1, dtype=torch.float64),
+        irradiance=first,
+        mips=tuple(mips),
+        brdf=brdf_table(torch.device("cpu")),
+        background=torch.zeros(1, 3),
+    )
+    inner = [single(values, device) for values in exact]
+    light = FilteredLight(inner[-len(maps)], tuple(inner[1 - len(maps) :])).turned(50).exposed(0.7)
+    surface = Surface(**dict(zip(CHANNELS, inner, strict=False)))
+    found = shade(surface, inner[len(CHANNELS)], light, background=0.0)
+    for value, wanted in zip(found, expected, strict=True):
+        assert torch.allclose(value.cpu().double(), wanted, atol=1e-5)
+    wanted = torch.autograd.grad(expected, exact, upstream)
+    grads = torch.autograd.grad(found, inner, [grad.float().to(device) for grad in upstream])
+    for grad, expected_grad in zip(grads, wanted, strict=True):
+        # single precision moves a few lookups to the next cell, where the slope is another one
+        assert (grad.cpu().double() - expected_grad).norm() <= 2e-3 * expected_grad.norm()
+
+
+def test_a_neutral_light_costs_nothing(generator, monkeypatch):
+    """Neither turned nor exposed, it is shaded as if there were no such thing, without a copy."""
+    surface, view = single_points(5, generator, torch.device("cpu"))
+    light = make_light(generator, torch.device("cpu"))
+    seen = []
+    monkeypatch.setattr(shading, "shade_gbuffer", lambda *given, **_: seen.append(given))
+    shade(surface, view, light)
+    shade(surface, view, light.turned(0.0).exposed(1.0))
+    assert all(given[0] is surface and given[1] is view for given in seen)
+    shade(surface, view, light.turned(1.0).exposed(2.0))
+    assert seen[2][0].albedo is surface.albedo
+    assert torch.equal(seen[2][0].response_specular, 2 * surface.response_specular)
+
+
 @pytest.mark.parametrize("encoded", [True, False])
 def test_reference_gradients_are_those_of_finite_differences(generator, encoded):
     surface, view = make_points(3, generator)
@@ -217,9 +266,8 @@ def test_image_is_the_composed_colour(device, generator):
     light = make_light(generator, device)
     alpha = torch.rand(50, 1, generator=generator).to(device)
     for color_space in ("srgb", "raw"):
-        options = {"exposure": 2.0, "color_space": color_space}
-        shaded = shade(surface, view, light, alpha=alpha, background=0.5, **options)
-        wanted = compose(shaded.color, alpha, 0.5, **options)
+        shaded = shade(surface, view, light, alpha=alpha, background=0.5, color_space=color_space)
+        wanted = compose(shaded.color, alpha, 0.5, color_space=color_space)
         # A few roundings of values around 1; the curve's power is another one.
         assert torch.allclose(shaded.image, wanted, atol=1e-5)
 
@@ -347,13 +395,12 @@ def test_maps_that_are_no_cubes_are_refused(generator):
 
 
 @pytest.mark.parametrize("background", [1, True])
-def test_whole_numbers_are_backgrounds_and_exposures_as_well(device, generator, background):
+def test_whole_numbers_are_backgrounds_as_well(device, generator, background):
     surface, view = single_points(5, generator, device)
     light = make_light(generator, device, sizes=(2, 2, 2))
     alpha = torch.linspace(0, 1, 5, device=device)[:, None]
-    found = shade(surface, view, light, alpha=alpha, background=background, exposure=2)
-    wanted = shade(surface, view, light, alpha=alpha, background=1.0, exposure=2.0)
-    assert torch.equal(found.image, wanted.image)
+    found = shade(surface, view, light, alpha=alpha, background=background)
+    assert torch.equal(found.image, shade(surface, view, light, alpha=alpha, background=1.0).image)
 
 
 def test_one_background_for_all_points_is_the_same_for_each(device, generator):

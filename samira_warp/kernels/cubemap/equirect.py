@@ -19,15 +19,12 @@ _GRAIN = 2048
 _PI = wp.constant(math.pi)
 
 
-def picture_equirect(
-    equirect: torch.Tensor, directions: torch.Tensor, *, rotate: float = 0.0
-) -> torch.Tensor:
+def picture_equirect(equirect: torch.Tensor, directions: torch.Tensor) -> torch.Tensor:
     """Look a panorama up for a picture of it: as soft as a lens, and no pixel shows however enlarged.
 
     Args:
         equirect: (H, W, 3) float32; a constant.
         directions: (..., 3) float32, unit; constants.
-        rotate: Degrees by which the light turns, as `samira_warp.light.equirect` has it.
 
     Returns:
         (..., 3) float32, within the range of the pixels.
@@ -42,7 +39,7 @@ def picture_equirect(
         "directions", directions, shape=(*("M",) * (directions.dim() - 1), 3), device=equirect.device
     )
     seen = torch.empty(directions.shape, device=equirect.device)
-    inputs = (equirect.contiguous(), directions.reshape(-1, 3).contiguous(), rotate / 360.0)
+    inputs = (equirect.contiguous(), directions.reshape(-1, 3).contiguous())
     launch_range(_picture, seen.numel() // 3, *inputs, seen.view(-1, 3), grain=_GRAIN)
     return seen
 
@@ -82,12 +79,11 @@ def _picture(
     first: wp.int32,
     pixels: wp.array2d[wp.vec3],
     directions: wp.array[wp.vec3],
-    turn: wp.float32,
     seen: wp.array[wp.vec3],
 ) -> None:
     m = first + wp.tid()
     direction = directions[m]
-    u = 0.5 + wp.atan2(direction[0], -direction[2]) / (2.0 * _PI) + turn
+    u = 0.5 + wp.atan2(direction[0], -direction[2]) / (2.0 * _PI)
     v = wp.acos(wp.clamp(direction[1], -1.0, 1.0)) / _PI
     # the knots are the pixels' centres, and the four nearest begin one before
     x = (u - wp.floor(u)) * wp.float32(pixels.shape[1]) - 0.5

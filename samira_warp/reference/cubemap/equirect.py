@@ -9,12 +9,10 @@ import torch
 from samira_warp.light.equirect import direction_to_equirect, wrap_equirect
 
 
-def picture_equirect(
-    equirect: torch.Tensor, directions: torch.Tensor, *, rotate: float = 0.0
-) -> torch.Tensor:
+def picture_equirect(equirect: torch.Tensor, directions: torch.Tensor) -> torch.Tensor:
     """See `kernels.equirect_lookup.picture_equirect`."""
     height, width = equirect.shape[:2]
-    u, v = direction_to_equirect(directions, rotate=rotate)
+    u, v = direction_to_equirect(directions)
     # among the padded pixels, the four nearest a point begin one and a half before it, and two pixels of
     # border come first
     x, y = u * width + 0.5, v * height + 0.5
