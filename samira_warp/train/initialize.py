@@ -6,12 +6,12 @@ import torch
 
 from samira_warp.avatar import CanonicalHead, Gaussians, conditions_of, geometry_uv
 from samira_warp.avatar.canonical import neck_rotation
-from samira_warp.data import PixelCache, Sequence
+from samira_warp.data import Frame, PixelCache, Sequence
 from samira_warp.geometry.mesh import face_areas, vertex_normals
+from samira_warp.head.unwrap import UnwrapView, unwrap
 from samira_warp.kernels.gathering.gather import bilinear_table, gather
 from samira_warp.kernels.mesh.triangle_frames import triangle_frames
 from samira_warp.nets import ConditionStatistics
-from samira_warp.train.unwrap import View, unwrap
 
 DENSE_GROUPS = ("left_eye_region", "right_eye_region", "lips")
 DENSE_FACTOR = 3.0
@@ -59,28 +59,47 @@ def choose_reference(sequence: Sequence, canonical: CanonicalHead, statistics: C
     return min(sequence.train, key=score)
 
 
-def view_of(sequence: Sequence, pixels: PixelCache, index: int, *, albedo: bool = False) -> View | None:
-    """One frame's image, or its pseudo-albedo (None where it has none), as it is unwrapped."""
-    frame, content = sequence.frames[index], pixels[index]
-    image = content.albedo if albedo else content.image
-    if image is None:
+def image_view(sequence: Sequence, pixels: PixelCache, canonical: CanonicalHead, index: int) -> UnwrapView:
+    """One frame's image as it is unwrapped."""
+    content = pixels[index]
+    return _view(sequence.frames[index], canonical, content.image, content.mask)
+
+
+def albedo_view(
+    sequence: Sequence, pixels: PixelCache, canonical: CanonicalHead, index: int
+) -> UnwrapView | None:
+    """One frame's pseudo-albedo as it is unwrapped; None where it has none."""
+    content = pixels[index]
+    if content.albedo is None:
         return None
-    height, width = content.mask.shape
-    return View(image, content.mask, frame.parameters, frame.camera.resized(width=width, height=height))
+    return _view(sequence.frames[index], canonical, content.albedo, content.mask)
+
+
+@torch.no_grad()
+def _view(frame: Frame, canonical: CanonicalHead, image: torch.Tensor, mask: torch.Tensor) -> UnwrapView:
+    height, width = mask.shape
+    vertices = canonical.pose(frame.parameters).vertices
+    return UnwrapView(image, mask, vertices, frame.camera.resized(width=width, height=height))
+
+
+def unwrap_views(views: list[UnwrapView], canonical: CanonicalHead) -> torch.Tensor:
+    """(h, w, C) what views see of a subject, on its atlas: see `unwrap`."""
+    return unwrap(views, atlas=canonical.atlas, vertices=canonical.vertices, faces=canonical.topology.faces)
 
 
 def initial_albedo(
     sequence: Sequence, pixels: PixelCache, canonical: CanonicalHead, reference: torch.Tensor
 ) -> torch.Tensor:
-    """(h, w, 3) display-valued albedo texture: unwrapped pseudo-albedo where the dataset has any, else the
-    reference image.
+    """(h, w, 3) display-valued albedo texture.
+
+    Unwrapped pseudo-albedo where the dataset has any, else the reference image.
     """
     with_albedo = [index for index in sequence.train if sequence.frames[index].albedo_path]
     count = min(ALBEDO_VIEWS, len(with_albedo))
     chosen = [with_albedo[place * len(with_albedo) // count] for place in range(count)]
-    views = [view_of(sequence, pixels, index, albedo=True) for index in chosen]
+    views = [albedo_view(sequence, pixels, canonical, index) for index in chosen]
     found = [view for view in views if view is not None]
-    return unwrap(found, canonical) if found else reference
+    return unwrap_views(found, canonical) if found else reference
 
 
 @torch.no_grad()

@@ -22,11 +22,11 @@ from samira_warp.train.config import PRESETS, SHORT_RUN, LossWeights, TrainConfi
 from samira_warp.train.initialize import (
     choose_reference,
     condition_statistics,
+    image_view,
     initial_albedo,
     initial_gaussians,
-    view_of,
+    unwrap_views,
 )
-from samira_warp.train.unwrap import unwrap
 
 INITIAL_OPACITY = 0.1
 SHORT_RUN_OPACITY = 0.5
@@ -134,8 +134,8 @@ def start(config: TrainConfig, sequence: Sequence, pixels: PixelCache, *, steps:
     )
     statistics = condition_statistics(sequence)
     index = choose_reference(sequence, canonical, statistics)
-    view = view_of(sequence, pixels, index)
-    unwrapped = unwrap([view], canonical)
+    view = image_view(sequence, pixels, canonical, index)
+    unwrapped = unwrap_views([view], canonical)
     features, encoder = encode_reference(
         view.image if config.reference == "screen" else unwrapped, encoder=config.encoder
     )

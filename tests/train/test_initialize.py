@@ -202,7 +202,9 @@ def test_the_albedo_is_unwrapped_from_twelve_frames_that_have_one(sequence, monk
     ]
     long = replace(sequence, frames=tuple(frames), train=tuple(range(62)), test=(62, 63))
     seen = []
-    monkeypatch.setattr(initialize, "view_of", lambda sequence, pixels, index, *, albedo: seen.append(index))
+    monkeypatch.setattr(
+        initialize, "albedo_view", lambda sequence, pixels, canonical, index: seen.append(index)
+    )
     initial_albedo(long, None, small_canonical(), torch.zeros(1))
     assert seen == expected
 

@@ -3,7 +3,7 @@ from scipy.spatial import cKDTree
 from subjects import camera, small_canonical
 
 from samira_warp.geometry.mesh import vertex_normals
-from samira_warp.train.unwrap import GRAZING_COSINE, View, unwrap
+from samira_warp.head.unwrap import GRAZING_COSINE, UnwrapView, unwrap
 
 SIZE = 128
 
@@ -12,7 +12,11 @@ def view_of(canonical, image, *, mask=None):
     view = camera(SIZE)
     if mask is None:
         mask = torch.ones(SIZE, SIZE)
-    return View(image, mask, canonical.model.rest(), view)
+    return UnwrapView(image, mask, canonical.vertices, view)
+
+
+def unwrapped(views, canonical):
+    return unwrap(views, atlas=canonical.atlas, vertices=canonical.vertices, faces=canonical.topology.faces)
 
 
 def projected(canonical):
@@ -47,7 +51,7 @@ def eyeballs(canonical):
 
 def test_visible_texels_read_the_pixel_that_they_project_to():
     canonical = small_canonical()
-    texture = unwrap([view_of(canonical, coordinates())], canonical)
+    texture = unwrapped([view_of(canonical, coordinates())], canonical)
     pixels, cosine = projected(canonical)
     sure = canonical.atlas.covered & (cosine > 2 * GRAZING_COSINE) & ~eyeballs(canonical)
     assert sure.sum() > 100
@@ -59,7 +63,7 @@ def test_what_no_view_sees_takes_its_mirror_images_value():
     canonical = small_canonical()
     mask = torch.zeros(SIZE, SIZE)
     mask[:, SIZE // 2 :] = 1.0
-    texture = unwrap([view_of(canonical, coordinates(), mask=mask)], canonical)
+    texture = unwrapped([view_of(canonical, coordinates(), mask=mask)], canonical)
     pixels, cosine = projected(canonical)
     front = canonical.atlas.covered & (cosine > 2 * GRAZING_COSINE) & ~eyeballs(canonical)
     known = front & (pixels[..., 0] > SIZE / 2 + 2)
@@ -82,19 +86,19 @@ def test_hidden_surfaces_read_nothing_of_their_own():
     before them."""
     canonical = small_canonical()
     image = torch.zeros(SIZE, SIZE, 3)
-    seen = unwrap([view_of(canonical, image)], canonical)
+    seen = unwrapped([view_of(canonical, image)], canonical)
     assert (seen == 0).all()
     view = view_of(canonical, coordinates())
-    alone = unwrap([view], canonical)[eyeballs(canonical)]
+    alone = unwrapped([view], canonical)[eyeballs(canonical)]
     assert alone.isfinite().all()
     assert (alone.amax(1) > 0).all()
 
 
 def test_texels_outside_the_atlas_take_the_mean_of_what_was_seen():
     canonical = small_canonical()
-    texture = unwrap([view_of(canonical, torch.full((SIZE, SIZE, 3), 0.25))], canonical)
+    texture = unwrapped([view_of(canonical, torch.full((SIZE, SIZE, 3), 0.25))], canonical)
     torch.testing.assert_close(texture, torch.full_like(texture, 0.25))
-    bright = unwrap([view_of(canonical, coordinates())], canonical)
+    bright = unwrapped([view_of(canonical, coordinates())], canonical)
     outside = bright[~canonical.atlas.valid]
     assert (outside == outside[0]).all()
     # the head is about the picture's centre
@@ -103,12 +107,12 @@ def test_texels_outside_the_atlas_take_the_mean_of_what_was_seen():
 
 def test_if_nothing_is_seen_everything_is_grey():
     canonical = small_canonical()
-    texture = unwrap([view_of(canonical, coordinates(), mask=torch.zeros(SIZE, SIZE))], canonical)
+    texture = unwrapped([view_of(canonical, coordinates(), mask=torch.zeros(SIZE, SIZE))], canonical)
     assert (texture == 0.5).all()
 
 
 def test_views_are_averaged():
     canonical = small_canonical()
     dark, bright = (view_of(canonical, torch.full((SIZE, SIZE, 3), value)) for value in (0.2, 0.6))
-    texture = unwrap([dark, bright], canonical)
+    texture = unwrapped([dark, bright], canonical)
     torch.testing.assert_close(texture, torch.full_like(texture, 0.4))

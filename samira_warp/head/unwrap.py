@@ -6,11 +6,11 @@ from typing import NamedTuple
 
 import torch
 from scipy.spatial import cKDTree
+from torch import Tensor
 
-from samira_warp.avatar import CanonicalHead
 from samira_warp.geometry.camera import Camera
 from samira_warp.geometry.mesh import vertex_normals
-from samira_warp.head import FrameParameters
+from samira_warp.head.atlas import UvAtlas
 from samira_warp.kernels.rays.visibility import visible
 
 GRAZING_COSINE = 0.2
@@ -20,60 +20,64 @@ OPAQUE = 0.95
 """Pixels less covered than this are mixed with the background."""
 
 
-class View(NamedTuple):
-    """A picture of the head.
+class UnwrapView(NamedTuple):
+    """A picture of the head, and where the head is in it.
 
     Attributes:
         image: (H, W, C) values to unwrap.
         mask: (H, W) coverage.
-        parameters: The head in it.
+        vertices: (V, 3) the posed mesh, metres.
         camera: The camera, at the picture's size.
     """
 
-    image: torch.Tensor
-    mask: torch.Tensor
-    parameters: FrameParameters
+    image: Tensor
+    mask: Tensor
+    vertices: Tensor
     camera: Camera
 
 
 @torch.no_grad()
-def unwrap(views: list[View], canonical: CanonicalHead) -> torch.Tensor:
-    """Average what the views see of each texel, by the cosine at which they see it, and fill in what none
-    sees.
+def unwrap(views: list[UnwrapView], *, atlas: UvAtlas, vertices: Tensor, faces: Tensor) -> Tensor:
+    """Average what the views see of each texel, by the cosine at which they see it.
 
     A texel that no view sees takes the value of the nearest seen point to its mirror image in x on the
     reference mesh (heads are about symmetric); texels outside the atlas, and everything if nothing is seen,
     take the mean.
 
+    Args:
+        views: At least one.
+        atlas: The head's UV layout.
+        vertices: (V, 3) reference mesh, metres.
+        faces: (F, 3) vertex ids.
+
     Returns:
         (h, w, C) values on the atlas's texels.
     """
-    size = canonical.atlas.size
-    total = torch.zeros(size * size, views[0].image.shape[-1], device=canonical.positions.device)
+    size = atlas.size
+    total = torch.zeros(size * size, views[0].image.shape[-1], device=vertices.device)
     weight = torch.zeros(size * size, 1, device=total.device)
     for view in views:
-        seen, values = _read_view(view, canonical)
+        seen, values = _read_view(view, atlas, faces)
         total += seen * values
         weight += seen
     known = weight[:, 0] > 0.0
     texture = total / weight.clamp(min=1e-6)
     mean = texture[known].mean(dim=0) if bool(known.any()) else torch.full_like(texture[0], 0.5)
     texture[~known] = mean
-    missing = canonical.atlas.valid.flatten() & ~known
+    missing = atlas.valid.flatten() & ~known
     if bool(known.any()) and bool(missing.any()):
-        texture[missing] = texture[known][
-            _nearest_mirrored(canonical.positions.flatten(0, 1), known, missing)
-        ]
+        positions = atlas.positions(vertices).flatten(0, 1)
+        texture[missing] = texture[known][_nearest_mirrored(positions, known, missing)]
     return texture.unflatten(0, (size, size))
 
 
-def _read_view(view: View, canonical: CanonicalHead) -> tuple[torch.Tensor, torch.Tensor]:
-    """Weight (T, 1) and value (T, C) of every texel in one view; the weight is 0 where the view does not see
-    it.
+def _read_view(view: UnwrapView, atlas: UvAtlas, faces: Tensor) -> tuple[Tensor, Tensor]:
+    """Weight (T, 1) and value (T, C) of every texel in one view.
+
+    The weight is 0 where the view does not see the texel.
     """
-    vertices = canonical.pose(view.parameters).vertices
-    points = canonical.atlas.positions(vertices).flatten(0, 1)
-    normals = canonical.atlas.positions(vertex_normals(vertices, canonical.topology.faces)).flatten(0, 1)
+    points = atlas.positions(view.vertices).flatten(0, 1)
+    normals = atlas.positions(vertex_normals(view.vertices, faces)).flatten(0, 1)
     towards = torch.nn.functional.normalize(view.camera.center - points, dim=1)
     cosine = (torch.nn.functional.normalize(normals, dim=1) * towards).sum(dim=1)
     in_camera = points @ view.camera.world_to_camera[:3, :3].T + view.camera.world_to_camera[:3, 3]
@@ -82,15 +86,13 @@ def _read_view(view: View, canonical: CanonicalHead) -> tuple[torch.Tensor, torc
     grid = (2.0 * pixel / points.new_tensor([view.camera.width, view.camera.height]) - 1.0)[None, None]
     stacked = torch.cat([view.image, view.mask[..., None]], dim=-1).permute(2, 0, 1)[None]
     sampled = torch.nn.functional.grid_sample(stacked, grid, align_corners=False)[0, :, 0].T
-    seen = visible(points, vertices=vertices, faces=canonical.topology.faces, origin=view.camera.center)
-    seen &= canonical.atlas.valid.flatten() & (cosine > GRAZING_COSINE) & (sampled[:, -1] > OPAQUE)
+    seen = visible(points, vertices=view.vertices, faces=faces, origin=view.camera.center)
+    seen &= atlas.valid.flatten() & (cosine > GRAZING_COSINE) & (sampled[:, -1] > OPAQUE)
     return torch.where(seen, cosine, 0.0)[:, None], sampled[:, :-1]
 
 
-def _nearest_mirrored(positions: torch.Tensor, known: torch.Tensor, missing: torch.Tensor) -> torch.Tensor:
-    """For each missing texel, the index among the known ones of the point nearest to its mirror image in
-    x.
-    """
+def _nearest_mirrored(positions: Tensor, known: Tensor, missing: Tensor) -> Tensor:
+    """For each missing texel, which of the known ones is nearest to its mirror image in x."""
     mirrored = positions[missing] * positions.new_tensor([-1.0, 1.0, 1.0])
     _, nearest = cKDTree(positions[known].cpu().numpy()).query(mirrored.cpu().numpy())
     return torch.from_numpy(nearest).to(positions.device)
