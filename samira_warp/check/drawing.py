@@ -8,7 +8,7 @@ from PIL import Image, ImageDraw
 from samira_warp.check.views import View, coverage, faces_before
 from samira_warp.data.pixels import read_picture
 from samira_warp.io.images import resize_box
-from samira_warp.stage.contact_sheet import contact_sheet
+from samira_warp.stage.sheet import contact_sheet
 from samira_warp.support.errors import UserError
 
 CELL = 360

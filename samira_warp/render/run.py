@@ -19,11 +19,11 @@ from samira_warp.render.config import RenderConfig
 from samira_warp.render.sources import select_frames
 from samira_warp.render.writing import display_values, write_layer
 from samira_warp.stage.background import Background
-from samira_warp.stage.contact_sheet import contact_sheet
 from samira_warp.stage.layer_names import Layer
 from samira_warp.stage.layers import layer_image
 from samira_warp.stage.lights import read_light, read_sheet_light, sheet_labels, sheet_paths
 from samira_warp.stage.scene import PosedView, Scene
+from samira_warp.stage.sheet import contact_sheet
 from samira_warp.stage.turntable import plan_shots
 from samira_warp.stage.video import VideoWriter
 from samira_warp.support.devices import pick_device

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from samira_warp.io.images import text_line
-from samira_warp.stage.contact_sheet import contact_sheet
+from samira_warp.stage.sheet import contact_sheet
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,26 @@
+"""``samira-warp export``, or ``python -m samira_warp.export``: one frame of an avatar for other programs."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+from samira_warp.export.config import ExportConfig
+from samira_warp.support.cli import run
+
+
+def main(config: ExportConfig) -> None:
+    """Write the file, and say what is in it."""
+    from samira_warp.export.run import export
+
+    exported = export(config)
+    print(f"{config.out}: {exported.splats:,} splats of frame {exported.frame}", file=sys.stderr)
+
+
+def command(arguments: Sequence[str] | None = None, program: str = "python -m samira_warp.export") -> int:
+    """The verb from its options to its exit status."""
+    return run(main, ExportConfig, program=program, arguments=arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(command())

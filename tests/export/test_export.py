@@ -1,0 +1,157 @@
+"""``python -m samira_warp.export``: the albedo of a frame, or the frame under a light."""
+
+import functools
+import subprocess
+import sys
+from typing import get_args
+
+import numpy as np
+import pytest
+import torch
+from plyfile import PlyData
+from subjects import TESTS
+
+from samira_warp.avatar import Avatar, read_frames
+from samira_warp.export.__main__ import command
+from samira_warp.export.config import Format
+from samira_warp.export.formats import FORMATS
+from samira_warp.io.images import write_exr
+from samira_warp.light import Environment, decode_srgb, encode_srgb
+from samira_warp.light.brdf import brdf_table
+from samira_warp.light.equirect import equirect_directions
+from samira_warp.reference.shading.deferred import lookup_brdf
+
+
+def export(*arguments):
+    """The verb in this process; its exit status."""
+    return command([*map(str, arguments)])
+
+
+def colors(path):
+    """(N, 3) display values as a viewer shows them: 0.5 + Y_00 f_dc."""
+    vertex = PlyData.read(str(path))["vertex"]
+    f_dc = np.stack([vertex[f"f_dc_{i}"] for i in range(3)], axis=1)
+    return torch.from_numpy(0.5 + np.float32(np.sqrt(1 / (4 * np.pi))) * f_dc)
+
+
+@pytest.fixture(autouse=True)
+def small_environments(monkeypatch):
+    """Environment maps as cubes of 64 texels: the default's 256 take seconds to filter."""
+    monkeypatch.setattr(Environment, "load", functools.partial(Environment.load, size=64))
+
+
+@pytest.fixture(scope="module")
+def lights(tmp_path_factory):
+    """Two maps, one uniform, one bright on a camera's right, and a folder of maps."""
+    folder = tmp_path_factory.mktemp("lights")
+    write_exr(folder / "white.exr", np.ones((16, 32, 3), np.float32))
+    x = equirect_directions(16).numpy()[..., :1]
+    write_exr(folder / "right.exr", np.maximum(x, 0.0) ** 2 * np.ones(3, np.float32))
+    (folder / "maps").mkdir()
+    write_exr(folder / "maps" / "a.exr", np.ones((8, 16, 3), np.float32))
+    return folder
+
+
+def test_a_frame_is_written_and_said(tiny_run, tmp_path):
+    path = tmp_path / "frame.ply"
+    options = ["--avatar", tiny_run, "--format", "ply", "--frame", "1", "--out", path]
+    verb = [sys.executable, "-m", "samira_warp.export", *options]
+    done = subprocess.run(verb, capture_output=True, text=True, timeout=240, check=False)
+    assert done.returncode == 0, done.stderr
+    count, frame = len(Avatar.load(tiny_run).gaussians), read_frames(tiny_run)[1]
+    assert done.stderr.splitlines()[-1] == f"{path}: {count:,} splats of frame {frame.name}"
+    assert done.stdout == ""
+    shown = encode_srgb(Avatar.load(tiny_run).gaussians.albedo).detach()
+    torch.testing.assert_close(colors(path), shown, atol=1e-6, rtol=0)
+
+
+def test_the_tool_writes_the_same_file(tiny_run, tmp_path):
+    assert export("--avatar", tiny_run, "--out", tmp_path / "verb.ply") == 0
+    tool = [sys.executable, str(TESTS.parent / "tools" / "export_ply.py")]
+    options = ["--avatar", str(tiny_run), "--out", str(tmp_path / "tool.ply")]
+    subprocess.run([*tool, *options], check=True, timeout=240, capture_output=True)
+    assert (tmp_path / "tool.ply").read_bytes() == (tmp_path / "verb.ply").read_bytes()
+
+
+def test_under_a_white_furnace_a_splat_reflects_what_its_material_says(tiny_run, tmp_path, lights):
+    """E_d = E_s = 1 all around, exposed by a half: C = (tau_d a (1 - f) + tau_s (f B_x + B_y)) / 2."""
+    path = tmp_path / "lit.ply"
+    light = ("--env", lights / "white.exr", "--exposure", 0.5)
+    assert export("--avatar", tiny_run, "--frame", 2, "--out", path, *light) == 0
+    avatar, frame = Avatar.load(tiny_run), read_frames(tiny_run)[2]
+    with torch.no_grad():
+        motion = avatar.move(frame.parameters)
+        surface = avatar.surface(motion)
+        towards = torch.nn.functional.normalize(frame.camera.center - motion.gaussians.means, dim=1)
+        cosine = (surface.normal * towards).sum(dim=1, keepdim=True)
+        scale, bias = lookup_brdf(brdf_table(torch.device("cpu")), surface.roughness, cosine)
+        diffuse = surface.response_diffuse * surface.albedo * (1 - surface.specular)
+        glossy = surface.response_specular * (surface.specular * scale + bias)
+    # filtering keeps a uniform light to 1e-3, as the furnace of `bench light` shows
+    torch.testing.assert_close(decode_srgb(colors(path)), 0.5 * (diffuse + glossy), rtol=2e-3, atol=1e-5)
+
+
+def test_a_light_turns(tiny_run, tmp_path, lights):
+    """What is on the camera's right lights the face from before it when it is turned by -90 degrees."""
+    means = {}
+    for turn in (-90, 90):
+        path = tmp_path / f"{turn}.ply"
+        light = ("--env", lights / "right.exr", f"--rotate={turn}", "--exposure", "auto")
+        assert export("--avatar", tiny_run, "--out", path, *light) == 0
+        facing = torch.from_numpy(PlyData.read(str(path))["vertex"]["nz"]) > 0.7
+        assert facing.sum() > 20
+        means[turn] = decode_srgb(colors(path)[facing]).mean()
+    assert means[-90] > 3 * means[90]
+
+
+def test_the_learned_light_is_its_avatars_folder(tiny_run, tmp_path):
+    path = tmp_path / "lit.ply"
+    assert export("--avatar", tiny_run, "--out", path, "--env", tiny_run) == 0
+    avatar, frame = Avatar.load(tiny_run), read_frames(tiny_run)[0]
+    with torch.no_grad():
+        image = avatar.render(frame.parameters, frame.camera).image
+        seen = avatar.rasterize(avatar.move(frame.parameters), frame.camera).alpha[..., 0] > 0.99
+    facing = torch.from_numpy(PlyData.read(str(path))["vertex"]["nz"]) > 0.3
+    # the splats that face the camera are what its picture is blended of
+    torch.testing.assert_close(colors(path)[facing].mean(dim=0), image[seen].mean(dim=0), atol=0.05, rtol=0)
+
+
+def test_every_format_of_the_options_has_a_writer():
+    assert set(get_args(Format)) == set(FORMATS)
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [
+        (["--rotate", "30"], "--rotate: expected --env with it"),
+        (["--exposure", "2"], "--exposure: expected --env with it"),
+        (["--env", "white.exr", "--rotate", "nan"], "--rotate: expected degrees"),
+        (["--env", "white.exr", "--exposure", "-1"], "--exposure"),
+        (["--env", "missing.exr"], "missing.exr"),
+        (["--env", "maps"], "maps: expected a learned light"),
+        (["--env", "white.exr", "white.exr", "white.exr"], "3 files"),
+        (["--frame", "6"], "--frame: expected 0 to 5, found 6"),
+        (["--out", "frame.spz"], ".ply"),
+        (["--format", "spz"], "--format"),
+    ],
+    ids=lambda value: "=".join(value) if isinstance(value, list) else "",
+)
+def test_mistakes_are_one_line_and_leave_no_file(tiny_run, lights, monkeypatch, capsys, options, named):
+    monkeypatch.chdir(lights)
+    capsys.readouterr()
+    before = sorted(lights.iterdir())
+    out = [] if "--out" in options else ["--out", "frame.ply"]
+    try:
+        status = export("--avatar", tiny_run, *out, *options)
+    except SystemExit as end:  # an option that does not parse ends the process
+        status = end.code
+    assert status == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert named in line
+    assert sorted(lights.iterdir()) == before
+
+
+def test_options_are_typed_without_torch():
+    code = "import sys, samira_warp.export.config; print('torch' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "False\n"
