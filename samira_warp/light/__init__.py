@@ -2,6 +2,7 @@
 
 from samira_warp.light.color import ColorSpace, compose, decode_srgb, encode_srgb, to_display
 from samira_warp.light.environment import Environment
+from samira_warp.light.equirect import equirect_directions
 from samira_warp.light.filtered import FilteredLight
 from samira_warp.light.learnable import LearnableLight
 from samira_warp.light.shading import Shaded, shade
@@ -15,6 +16,7 @@ __all__ = [
     "compose",
     "decode_srgb",
     "encode_srgb",
+    "equirect_directions",
     "shade",
     "to_display",
 ]

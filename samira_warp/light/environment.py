@@ -19,6 +19,7 @@ from samira_warp.light.filtered import FilteredLight
 from samira_warp.light.radiance_map import RadianceMap
 from samira_warp.support.errors import UserError
 from samira_warp.support.exposure import Exposure, check_exposure
+from samira_warp.support.validation import check_tensor
 
 DIFFUSE_FILE = "light_diffuse.exr"
 SPECULAR_FILE = "light_specular.exr"
@@ -86,8 +87,7 @@ class Environment:
         """
         check_exposure(exposure)
         check_degrees(rotate)
-        if not isinstance(size, int) or size <= 0 or size % SPECULAR_MULTIPLE:
-            raise UserError("size", expected=f"a positive multiple of {SPECULAR_MULTIPLE}", found=size)
+        _check_size(size)
         if specular is None and Path(path).is_dir():
             path, specular = learned_pair(path)
         diffuse_map = RadianceMap.read(path, ldr=ldr)
@@ -99,6 +99,27 @@ class Environment:
             else _filterable(diffuse_map, size=size, multiple=DIFFUSE_MULTIPLE)
         )
         return cls(diffuse_cube, specular_cube, specular_map, rotate).exposed(exposure, name=path)
+
+    @classmethod
+    def from_panorama(cls, radiance: Tensor, *, size: int = 256) -> Environment:
+        """A light that is a panorama in memory; what `load` makes of a file that holds it.
+
+        Args:
+            radiance: (H, 2 H, 3) float32, linear, finite, at least 0.
+            size: Texels along a face of the resampled map, divisible by 16.
+
+        Raises:
+            UserError: An argument is none of these.
+        """
+        _check_size(size)
+        check_tensor("radiance", radiance, shape=("H", "2 H", 3))
+        if radiance.shape[1] != 2 * radiance.shape[0]:
+            raise UserError("radiance", expected="(H, 2 H, 3)", found=tuple(radiance.shape))
+        if not bool((radiance.isfinite() & (radiance >= 0)).all()):
+            raise UserError("radiance", expected="finite values of at least 0", found="others")
+        panorama = RadianceMap(radiance)
+        cubemap = panorama.to_cube(size)
+        return cls(cubemap, cubemap, panorama)
 
     @classmethod
     def from_cubemaps(cls, diffuse: Tensor, specular: Tensor) -> Environment:
@@ -212,6 +233,11 @@ def learned_pair(folder: str | Path) -> tuple[Path, Path]:
         if all(path.is_file() for path in pair):
             return pair
     raise UserError(folder, expected=f"a learned light, {DIFFUSE_FILE} and {SPECULAR_FILE}", found="none")
+
+
+def _check_size(size: int) -> None:
+    if not isinstance(size, int) or size <= 0 or size % SPECULAR_MULTIPLE:
+        raise UserError("size", expected=f"a positive multiple of {SPECULAR_MULTIPLE}", found=size)
 
 
 def _filterable(radiance: RadianceMap, *, size: int, multiple: int) -> Tensor:

@@ -263,6 +263,32 @@ def test_a_cross_is_the_same_light_as_its_panorama(tmp_path, generator, turn):
     assert torch.allclose(mean_radiance(cross.specular), mean_radiance(whole.specular), rtol=5e-3)
 
 
+def test_a_panorama_in_memory_is_what_its_file_is(tmp_path, generator):
+    panorama = 9 * torch.rand(16, 32, 3, generator=generator)
+    light = Environment.from_panorama(panorama, size=32)
+    read = Environment.load(write(tmp_path / "map.exr", panorama.numpy()), size=32)
+    assert torch.equal(light.diffuse, read.diffuse)
+    assert torch.equal(light.specular, read.specular)
+    assert torch.equal(light.visible.texels, read.visible.texels)
+
+
+@pytest.mark.parametrize(
+    ("radiance", "options", "named"),
+    [
+        (torch.ones(8, 8, 3), {}, r"radiance: expected \(H, 2 H, 3\), found \(8, 8, 3\)"),
+        (torch.ones(8, 16, 1), {}, "radiance"),
+        (torch.ones(8, 16, 3).double(), {}, "radiance: .* float64"),
+        (torch.full((8, 16, 3), math.inf), {}, "radiance: expected finite"),
+        (torch.full((8, 16, 3), -1.0), {}, "radiance: expected finite values of at least 0"),
+        (torch.zeros(0, 0, 3), {}, "at least one pixel"),
+        (torch.ones(8, 16, 3), {"size": 24}, "size"),
+    ],
+)
+def test_what_is_no_panorama_is_refused(radiance, options, named):
+    with pytest.raises(UserError, match=named):
+        Environment.from_panorama(radiance, **options)
+
+
 def test_a_pair_of_maps_is_a_light_for_diffuse_and_one_for_specular(tmp_path, generator):
     diffuse, specular = (
         torch.rand(6, 16, 16, 3, generator=generator),

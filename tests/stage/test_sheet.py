@@ -35,8 +35,14 @@ def test_long_names_keep_their_ends():
 @pytest.mark.parametrize(("count", "columns"), [(1, 1), (2, 1), (3, 2), (4, 2), (9, 3), (25, 5)])
 def test_pictures_lie_in_rows_in_their_order(count, columns):
     pictures = [np.full((40, 60, 3), index / 30, np.float32) for index in range(count)]
-    sheet = contact_sheet(pictures, [f"light {index}" for index in range(count)])
-    gap, line = 2, 14
+    labels = [f"light {index}" for index in range(count)]
+    sheet = contact_sheet(pictures, labels)
+    check_order(sheet, pictures, columns)
+    check_order(contact_sheet(pictures, labels, columns=4), pictures, 4)
+
+
+def check_order(sheet, pictures, columns):
+    gap, line, count = 2, 14, len(pictures)
     rows = -(-count // columns)
     assert sheet.shape == (rows * (40 + line + gap) + gap, columns * (60 + gap) + gap, 3)
     for index in range(count):
