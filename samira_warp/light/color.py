@@ -45,19 +45,17 @@ def compose(
     alpha: torch.Tensor,
     background: torch.Tensor | float,
     *,
-    exposure: float = 1.0,
     color_space: ColorSpace = "srgb",
 ) -> torch.Tensor:
-    """Eq. alpha_compose in display values: I = alpha encode(C_fg exposure) + (1 - alpha) background.
+    """Eq. alpha_compose in display values: I = alpha encode(C_fg) + (1 - alpha) background.
 
     Args:
         foreground: (..., 3) linear C_fg, not premultiplied.
         alpha: (..., 1) coverage.
         background: (..., 3) display values, or what broadcasts to them.
-        exposure: Factor on the linear foreground.
         color_space: "srgb" encodes the foreground; "raw" takes its values for display values.
 
     Returns:
         (..., 3) display values, not clipped.
     """
-    return alpha * to_display(foreground * exposure, color_space=color_space) + (1 - alpha) * background
+    return alpha * to_display(foreground, color_space=color_space) + (1 - alpha) * background

@@ -117,7 +117,6 @@ def test_shade_matches_the_reference(device, generator, color_space):
             mips=tuple(mips),
             brdf=brdf_table(first.device),
             background=convert(background),
-            exposure=0.7,
             encoded=color_space == "srgb",
         )
         grads = torch.autograd.grad(shaded, list(given.values()), [convert(grad) for grad in upstream])
@@ -205,9 +204,7 @@ def test_reference_gradients_are_those_of_finite_differences(generator, encoded)
     }
 
     def run(view, alpha, *channels):
-        return tuple(
-            reference.shade_gbuffer(Surface(*channels), view, alpha, **terms, exposure=1.3, encoded=encoded)
-        )
+        return tuple(reference.shade_gbuffer(Surface(*channels), view, alpha, **terms, encoded=encoded))
 
     inputs = [tensor.requires_grad_() for tensor in (view, alpha, *tensors(surface))]
     assert torch.autograd.gradcheck(run, inputs, eps=1e-7, atol=1e-4)
@@ -442,5 +439,5 @@ def test_compose():
     assert torch.allclose(
         compose(foreground, alpha, torch.ones(3), color_space="raw"), 0.25 * foreground + 0.75
     )
-    expected = 0.25 * encode_srgb(0.5 * foreground) + 0.75
-    assert torch.allclose(compose(foreground, alpha, torch.ones(3), exposure=0.5), expected)
+    expected = 0.25 * encode_srgb(foreground) + 0.75
+    assert torch.allclose(compose(foreground, alpha, torch.ones(3)), expected)

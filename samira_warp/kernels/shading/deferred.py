@@ -75,13 +75,12 @@ def shade_gbuffer(
     mips: tuple[Tensor, ...],
     brdf: Tensor,
     background: Tensor,
-    exposure: float = 1.0,
     encoded: bool = True,
 ) -> Shaded:
     """Shade M points and compose them with what is behind.
 
     L_d = tau_d E_d(n), L_s = tau_s E_s(reflect(v, n), rho), C_fg = a (1 - f) L_d + L_s (f B_x + B_y), and
-    I = alpha encode(C_fg exposure) + (1 - alpha) background.
+    I = alpha encode(C_fg) + (1 - alpha) background.
 
     Args:
         surface: Channels (M, width) float32, as is all else. A point with a zero normal sees no light and
@@ -94,11 +93,10 @@ def shade_gbuffer(
         brdf: (N, N, 2) table of (B_x, B_y) at nodes: rows by roughness, columns by the root of n . v, both
             from 0 to 1; a constant.
         background: (M, 3) display values, or (1, 3) for all points; a constant.
-        exposure: Factor on C_fg.
-        encoded: Whether display values are sRGB-encoded, rather than C_fg times the exposure.
+        encoded: Whether display values are sRGB-encoded, rather than C_fg itself.
 
     Returns:
-        Colours; differentiable in all but ``brdf``, ``background`` and ``exposure``.
+        Colours; differentiable in all but ``brdf`` and ``background``.
 
     Raises:
         UserError: A wrong shape, dtype or device.
@@ -117,7 +115,7 @@ def shade_gbuffer(
         "mips": pack_mips(mips),
     }
     constants = {"brdf": brdf, "background": background.detach()}
-    options = _Options(irradiance.shape[1], tuple(mip.shape[1] for mip in mips), exposure, encoded)
+    options = _Options(irradiance.shape[1], tuple(mip.shape[1] for mip in mips), encoded)
     return Shaded(*_Shade.apply(options, constants, *(differentiable[name] for name in _DIFFERENTIABLE)))
 
 
@@ -126,7 +124,6 @@ class _Options(NamedTuple):
 
     size: int
     sizes: tuple[int, ...]
-    exposure: float
     encoded: bool
 
     def arguments(self, device: torch.device) -> dict[str, Any]:
@@ -134,7 +131,6 @@ class _Options(NamedTuple):
         return {
             "size": self.size,
             "table": mip_table(self.sizes, device),
-            "exposure": self.exposure,
             "encoded": self.encoded,
         }
 
@@ -268,7 +264,6 @@ def _shade(
     background: wp.array[wp.vec3],
     size: wp.int32,
     table: wp.array2d[wp.int32],
-    exposure: wp.float32,
     encoded: wp.bool,
     color: wp.array[wp.vec3],
     image: wp.array[wp.vec3],
@@ -301,7 +296,7 @@ def _shade(
     b = read_brdf(brdf, find_brdf(roughness[m], cosine, brdf.shape[0]))
     radiance = (1.0 - specular[m]) * wp.cw_mul(albedo[m], diffuse) + (specular[m] * b[0] + b[1]) * light
     color[m] = radiance
-    image[m] = alpha[m] * show(radiance, exposure, encoded) + rest
+    image[m] = alpha[m] * show(radiance, encoded) + rest
     irradiance[m] = diffuse
     specular_light[m] = light
 
@@ -311,7 +306,6 @@ def _display_adjoint(
     first: wp.int32,
     alpha: wp.array[wp.float32],
     background: wp.array[wp.vec3],
-    exposure: wp.float32,
     encoded: wp.bool,
     color: wp.array[wp.vec3],
     grad_color: wp.array[wp.vec3],
@@ -319,7 +313,7 @@ def _display_adjoint(
     grad_radiance: wp.array[wp.vec3],
     grad_alpha: wp.array[wp.float32],
 ) -> None:
-    """Adjoint of I = alpha encode(C_fg exposure) + (1 - alpha) background.
+    """Adjoint of I = alpha encode(C_fg) + (1 - alpha) background.
 
     ``grad_radiance`` is all that flows into C_fg: what comes from the image, and ``grad_color``, what came
     to C_fg itself.
@@ -329,8 +323,8 @@ def _display_adjoint(
         grad_radiance[m] = wp.vec3()
         grad_alpha[m] = -wp.dot(behind(background, m), grad_image[m])
         return
-    grad_radiance[m] = grad_color[m] + alpha[m] * show_adjoint(color[m], exposure, encoded, grad_image[m])
-    grad_alpha[m] = wp.dot(show(color[m], exposure, encoded) - behind(background, m), grad_image[m])
+    grad_radiance[m] = grad_color[m] + alpha[m] * show_adjoint(color[m], encoded, grad_image[m])
+    grad_alpha[m] = wp.dot(show(color[m], encoded) - behind(background, m), grad_image[m])
 
 
 @wp.kernel(enable_backward=False)

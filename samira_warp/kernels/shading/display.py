@@ -1,4 +1,4 @@
-"""From linear radiance to display values inside a kernel: exposure, the sRGB curve, and its slope.
+"""From linear radiance to display values inside a kernel: the sRGB curve, and its slope.
 
 `samira_warp.light.color` says the same in torch.
 """
@@ -33,19 +33,16 @@ def encode_slope(linear: wp.float32) -> wp.float32:
 
 
 @wp.func
-def show(color: wp.vec3, exposure: wp.float32, encoded: wp.bool) -> wp.vec3:
-    """Display values of linear radiance: times the exposure, then the sRGB curve where ``encoded``."""
-    exposed = exposure * color
+def show(color: wp.vec3, encoded: wp.bool) -> wp.vec3:
+    """Display values of linear radiance: by the sRGB curve where ``encoded``, else as they are."""
     if not encoded:
-        return exposed
-    return wp.vec3(encode(exposed[0]), encode(exposed[1]), encode(exposed[2]))
+        return color
+    return wp.vec3(encode(color[0]), encode(color[1]), encode(color[2]))
 
 
 @wp.func
-def show_adjoint(color: wp.vec3, exposure: wp.float32, encoded: wp.bool, grad: wp.vec3) -> wp.vec3:
+def show_adjoint(color: wp.vec3, encoded: wp.bool, grad: wp.vec3) -> wp.vec3:
     """Gradient with respect to the radiance, from that of `show`."""
-    exposed = exposure * color
     if not encoded:
-        return exposure * grad
-    slope = wp.vec3(encode_slope(exposed[0]), encode_slope(exposed[1]), encode_slope(exposed[2]))
-    return exposure * wp.cw_mul(slope, grad)
+        return grad
+    return wp.cw_mul(wp.vec3(encode_slope(color[0]), encode_slope(color[1]), encode_slope(color[2])), grad)

@@ -22,7 +22,6 @@ def shade_gbuffer(
     mips: tuple[Tensor, ...],
     brdf: Tensor,
     background: Tensor,
-    exposure: float = 1.0,
     encoded: bool = True,
 ) -> Shaded:
     """See `kernels.shading.deferred.shade_gbuffer`; normals are not zero."""
@@ -35,7 +34,7 @@ def shade_gbuffer(
     light = covered * surface.response_specular * sample_mips(mips, reflected, level)
     scale, bias = lookup_brdf(brdf, surface.roughness, cosine)
     color = surface.albedo * (1 - f) * diffuse + light * (f * scale + bias)
-    image = compose(color, alpha, background, exposure=exposure, color_space="srgb" if encoded else "raw")
+    image = compose(color, alpha, background, color_space="srgb" if encoded else "raw")
     return Shaded(color, image, diffuse, light)
 
 
