@@ -82,7 +82,7 @@ class Eyelids:
 
         Args:
             vertices: (V', 3) float32 posed finer mesh, metres.
-            joint_transforms: (5, 4, 4) float32 of the pose (`PosedHead`).
+            joint_transforms: (J, 4, 4) float32 of the pose (`PosedHead`).
 
         Returns:
             (V', 3) float32.

@@ -13,7 +13,7 @@ from samira_subject.anatomy.identity import IDENTITIES, identities
 from samira_subject.anatomy.masks import masks
 from samira_subject.anatomy.skinning import joint_regressor, skinning_weights
 from samira_subject.streams import Purpose, generator_of
-from samira_warp.head.template import HeadTemplate
+from samira_warp.head import FLAME_JOINTS, HeadTemplate
 
 ORIGIN = np.array([0.0, 35.0, 70.0])
 """Millimetres from the anatomy's origin, between the eyes, to the template's, in the middle of the skull as
@@ -64,7 +64,7 @@ def build_template() -> HeadTemplate:
         v_template=((anatomy.points + ORIGIN) / 1000.0).astype(np.float32),
         shapedirs=(shapes / 1000.0).astype(np.float32),
         n_shape=len(IDENTITIES),
-        posedirs=np.zeros((len(anatomy.points), 3, 36), np.float32),
+        posedirs=np.zeros((len(anatomy.points), 3, 9 * (len(FLAME_JOINTS) - 1)), np.float32),
         joint_regressor=joint_regressor(anatomy).astype(np.float32),
         parents=np.array([-1, 0, 1, 1, 1], np.int32),
         weights=skinning_weights(anatomy).astype(np.float32),
@@ -73,4 +73,6 @@ def build_template() -> HeadTemplate:
         ft=anatomy.ft.astype(np.int32),
         masks=masks(anatomy),
         expression_names=tuple(named),
+        joint_names=FLAME_JOINTS,
+        head_joint="neck",
     )

@@ -22,7 +22,7 @@ from samira_subject.streams import Purpose, generator_of, number_of
 from samira_subject.studio import Cast, Studio, developed, on_white, threads
 from samira_warp.data.vhap import CANONICAL_FILE
 from samira_warp.geometry.camera import Camera
-from samira_warp.head.model import FrameParameters, HeadModel
+from samira_warp.head import FrameParameters, Rig
 from samira_warp.head.template import save_template
 from samira_warp.io.files import replace_folder
 from samira_warp.io.images import write_exr, write_png
@@ -186,15 +186,17 @@ class _Maker:
 
     def _arrays(self, parameters: FrameParameters) -> dict[str, np.ndarray]:
         """A frame as VHAP writes it."""
-        names = {
-            "translation": "translation",
-            "rotation": "rotation",
-            "neck": "neck_pose",
-            "jaw": "jaw_pose",
-            "eyes": "eyes_pose",
+        root, neck, jaw, *eyes = parameters.rotations.numpy()
+        arrays = {
+            "translation": parameters.translation.numpy(),
+            "rotation": root,
+            "neck_pose": neck,
+            "jaw_pose": jaw,
+            "eyes_pose": np.concatenate(eyes),
+            "expr": parameters.expression.numpy(),
         }
-        arrays = {key: getattr(parameters, name).numpy()[None] for name, key in names.items()}
-        return {**arrays, "expr": parameters.expression.numpy()[None], "shape": self._cast.identity.numpy()}
+        rows = {key: values[None] for key, values in arrays.items()}
+        return {**rows, "shape": self._cast.identity.numpy()}
 
     def _write_lights(self) -> None:
         for light in self._lights.values():
@@ -210,7 +212,7 @@ class _Maker:
     def _write_facts(self) -> None:
         """The template, the identity, the lists of frames, and what the dataset is."""
         save_template(self._cast.template, self._folder / "template.npz")
-        np.savez(self._folder / CANONICAL_FILE, **self._arrays(HeadModel.build(self._cast.template).rest()))
+        np.savez(self._folder / CANONICAL_FILE, **self._arrays(Rig.build(self._cast.template).rest()))
         frames = [_entry(index, self._studio.camera) for index in range(len(self._performance))]
         train = self._plan.train
         for name, part in {"": frames, "_train": frames[:train], "_val": [], "_test": frames[train:]}.items():

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from samira_subject.gestures import BLINK, LOWER, SPEECH, UPPER, Gesture, shapes_of
 from samira_subject.streams import Purpose, generator_of
-from samira_warp.head.model import FrameParameters
+from samira_warp.head import FrameParameters
 
 FRAMES_PER_SECOND = 12.5
 """A video's every other frame: 200 of them show 16 seconds."""
@@ -89,8 +89,8 @@ class Performance:
 
     def frame(self, index: int) -> FrameParameters:
         """What moves the head in one frame."""
-        rigid = (self.translation[index], self.rotation[index], self.neck[index])
-        return FrameParameters(*rigid, self.jaw[index], self.eyes[index], self.expression[index])
+        joints = [self.rotation[index], self.neck[index], self.jaw[index], *self.eyes[index].split(3)]
+        return FrameParameters(self.translation[index], torch.stack(joints), self.expression[index])
 
 
 def perform(names: tuple[str, ...], *, train: int, test: int, seed: int) -> Performance:

@@ -16,8 +16,7 @@ from samira_subject.raycaster import Effort, Picture, PosedSkin, Skin
 from samira_subject.raycaster_sampling import SkyTables
 from samira_subject.subdivision import LoopSubdivision, split_corners
 from samira_warp.geometry.camera import Camera
-from samira_warp.head.model import FrameParameters, HeadModel
-from samira_warp.head.template import HeadTemplate
+from samira_warp.head import FrameParameters, HeadTemplate, Rig
 from samira_warp.light.color import compose
 
 FOCAL_SHARE = 3.2
@@ -80,7 +79,7 @@ class Studio:
             template = cast.template
             self._materials = cast.materials
             self._effort = effort
-            self._model = HeadModel.build(template)
+            self._rig = Rig.build(template)
             self._identity = cast.identity
             self._subdivision = LoopSubdivision.build(template.faces, vertices=len(template.v_template))
             self._skin = Skin(
@@ -88,11 +87,9 @@ class Studio:
                 corner_uv=split_corners(torch.from_numpy(template.vt[template.ft])).contiguous(),
                 albedo=cast.materials.albedo.contiguous(),
                 finish=cast.materials.finish.contiguous(),
-                rest=self._subdivision.refine(self._model.v_template),
+                rest=self._subdivision.refine(self._rig.v_template),
             )
-            own_rest = self._subdivision.refine(
-                self._model.vertices(self._model.rest(), self._identity).vertices
-            )
+            own_rest = self._subdivision.refine(self._rig.pose(self._rig.rest(), self._identity).vertices)
             in_eyeball = {
                 name: self._refined_mask(template, name) for name in EYEBALLS if name in template.masks
             }
@@ -102,11 +99,12 @@ class Studio:
     def pose(self, parameters: FrameParameters) -> PosedSkin:
         """The head of one frame, ready for its picture."""
         with threads(1):
-            posed = self._model.vertices(parameters, self._identity)
+            posed = self._rig.pose(parameters, self._identity)
             vertices = self._subdivision.refine(posed.vertices)
             for lids in self._eyelids:
                 vertices = lids.clear(vertices, posed.joint_transforms)
-            slopes = self._materials.relief(parameters.expression, float(parameters.jaw[0]))
+            opening = float(parameters.rotations[self._rig.joint("jaw"), 0])
+            slopes = self._materials.relief(parameters.expression, opening)
             return PosedSkin(self._skin, vertices, slopes)
 
     def take(self, posed: PosedSkin, sky: SkyTables, *, seed: int) -> Picture:

@@ -8,6 +8,7 @@ import contextlib
 import functools
 import sys
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +23,7 @@ from data.tiny import N_EXPRESSION, N_SHAPE, tiny_template  # noqa: E402
 from samira_warp.avatar import Avatar, AvatarSettings, CanonicalHead, conditions_of  # noqa: E402
 from samira_warp.evaluate.lpips import _BACKBONES, _backbone_shapes, _head_shapes  # noqa: E402
 from samira_warp.geometry.camera import Camera  # noqa: E402
-from samira_warp.head import FrameParameters, read_template  # noqa: E402
+from samira_warp.head import FLAME_JOINTS, FrameParameters, read_template  # noqa: E402
 from samira_warp.light import LearnableLight  # noqa: E402
 from samira_warp.nets import ConditionStatistics, MotionSettings  # noqa: E402
 from samira_warp.render.__main__ import main as render_main  # noqa: E402
@@ -93,9 +94,22 @@ def parameters(seed, *, turn=0.3, device="cpu"):
     def draw(size, scale):
         return (scale * torch.randn(size, generator=generator)).to(device)
 
-    return FrameParameters(
-        draw(3, 0.01), draw(3, turn), draw(3, turn), draw(3, 0.1), draw(6, 0.1), draw(N_EXPRESSION, 0.7)
-    )
+    translation = draw(3, 0.01)
+    poses = [draw(3, turn), draw(3, turn), draw(3, 0.1), draw(6, 0.1)]
+    return FrameParameters(translation, torch.cat(poses).view(-1, 3), draw(N_EXPRESSION, 0.7))
+
+
+def posed(frame, **rotations):
+    """The parameters with other rotations of some of FLAME's joints, by name."""
+    changed = frame.rotations.clone()
+    for name, rotation in rotations.items():
+        changed[..., FLAME_JOINTS.index(name), :] = torch.as_tensor(rotation).to(changed)
+    return replace(frame, rotations=changed)
+
+
+def pose_of(frame, name):
+    """(3,) rotation of one of FLAME's joints."""
+    return frame.rotations[..., FLAME_JOINTS.index(name), :]
 
 
 def camera(size=32, *, height=None, device="cpu"):
@@ -138,7 +152,9 @@ def small_avatar(*, gaussians=200, perturb=0.0, motion=None, light_sizes=None, d
             ),
             gaussians=start,
             image_features=features,
-            statistics=ConditionStatistics.of([conditions_of(parameters(seed)) for seed in range(6)]),
+            statistics=ConditionStatistics.of(
+                conditions_of(FrameParameters.stack([parameters(seed) for seed in range(6)]))
+            ),
             light=LearnableLight(
                 torch.tensor([1.0, 0.9, 0.8]), tied=settings.get("tied_light", False), **(light_sizes or {})
             ),

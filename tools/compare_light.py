@@ -20,10 +20,9 @@ from relight_table import AvatarPrediction, at_size, pairs, read_lights
 
 from samira_warp.avatar import Avatar, DrivingFrame, read_frames
 from samira_warp.avatar.gaussians import INITIAL_ROUGHNESS, INITIAL_SPECULAR, ROUGHNESS_RANGE, SPECULAR_RANGE
-from samira_warp.avatar.storage import DESCRIPTION_FILE, TEMPLATE_FILE, find_avatar
+from samira_warp.avatar.storage import TEMPLATE_FILE, find_avatar, read_record
 from samira_warp.data import PixelCache, Sequence, open_sequence
 from samira_warp.evaluate import evaluate_images
-from samira_warp.io.files import read_json
 from samira_warp.io.images import read_image
 from samira_warp.kernels.gathering.gather import gather
 from samira_warp.light import LearnableLight, decode_srgb
@@ -119,7 +118,7 @@ def _open_own(config: CompareConfig) -> Sequence:
         UserError: It is not the one that the avatar was trained on.
     """
     folder = find_avatar(config.avatar)
-    split = read_json(folder / DESCRIPTION_FILE)["record"].get("split", "dataset")
+    split = read_record(folder).get("split", "dataset")
     sequence = open_sequence(config.data, split=split, flame=folder / TEMPLATE_FILE)
     trained_on = {frame.name for frame in read_frames(folder) if frame.part == "train"}
     strange = [
@@ -268,7 +267,7 @@ def _albedo_score(config: CompareConfig, avatar: Avatar, sequence: Sequence) -> 
         )
         inside = at_size(read_image(frame.mask_path, channels=1), config.resolution)[..., 0] > 0.95
         camera = frame.camera.resized(width=config.resolution, height=config.resolution)
-        albedo = avatar.render(replace(frame.parameters, static_offset=None), camera).albedo
+        albedo = avatar.render(frame.parameters, camera).albedo
         errors.append((albedo[inside] - truth[inside]).square().mean())
     return float(-10.0 * torch.log10(torch.stack(errors).mean()))
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
@@ -139,7 +139,7 @@ class AvatarPrediction(NamedTuple):
 
     def __call__(self, frame: Frame, camera: Camera, mask: torch.Tensor) -> torch.Tensor:
         """(H, W, 3) display values on white."""
-        return self.avatar.render(replace(frame.parameters, static_offset=None), camera, self.light).image
+        return self.avatar.render(frame.parameters, camera, self.light).image
 
 
 class OraclePrediction(NamedTuple):

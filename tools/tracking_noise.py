@@ -20,13 +20,16 @@ import torch
 
 from samira_warp.avatar import Avatar
 from samira_warp.data import Frame, Sequence, load_pixels, open_sequence
+from samira_warp.data.joints import FLAME_KEYS
 from samira_warp.evaluate import ImagePair, evaluate_images
 from samira_warp.evaluate.folders import read_region_names
+from samira_warp.head import FrameParameters, HeadTemplate
+from samira_warp.head.joints import known_names
 from samira_warp.io.images import read_labels, resize_nearest
 from samira_warp.support.cli import run
 
-RIGID = {"translation": "translation", "rotation": "rotation", "neck": "neck_pose"}
-ALL = {**RIGID, "eyes": "eyes_pose", "expression": "expr"}
+RIGID = ("translation", "rotation", "neck_pose")
+ALL = (*RIGID, "eyes_pose", "expr")
 """The head's parameters by their names in the dataset's file."""
 
 
@@ -56,8 +59,8 @@ def main(config: NoiseConfig) -> None:
         + " |\n|"
         + "---|" * (3 + len(names))
     )
-    for title, replaced in (("the tracker's", {}), ("true rigid motion", RIGID), ("all true", ALL)):
-        pairs = _pairs(config, avatar, sequence, {field: truth[key] for field, key in replaced.items()})
+    for title, keys in (("the tracker's", ()), ("true rigid motion", RIGID), ("all true", ALL)):
+        pairs = _pairs(config, avatar, sequence, {key: truth[key] for key in keys})
         scores = evaluate_images(pairs, region_names=names, protocol={})
         values = [
             scores["psnr"],
@@ -73,11 +76,9 @@ def _pairs(
     light, size = avatar.light(), {"width": config.resolution, "height": config.resolution}
     for index in sequence.test[:: config.every]:
         frame: Frame = sequence.frames[index]
-        exact = {
-            field: torch.tensor(values[frame.timestep], dtype=torch.float32)
-            for field, values in truth.items()
-        }
-        rendering = avatar.render(replace(frame.parameters, **exact), frame.camera.resized(**size), light)
+        values = {key: torch.tensor(rows[frame.timestep]).float() for key, rows in truth.items()}
+        exact = _with_truth(frame.parameters, sequence.template, values)
+        rendering = avatar.render(exact, frame.camera.resized(**size), light)
         pixels = load_pixels(frame, **size)
         labels = resize_nearest(read_labels(config.data / "gt" / "parse" / f"{frame.name}.png"), **size)
         yield ImagePair(
@@ -87,6 +88,21 @@ def _pairs(
             mask=pixels.mask,
             labels=torch.from_numpy(labels),
         )
+
+
+def _with_truth(
+    parameters: FrameParameters, template: HeadTemplate, truth: dict[str, torch.Tensor]
+) -> FrameParameters:
+    """The parameters with the true values in the place of those that are known."""
+    rotations, joints = parameters.rotations.clone(), known_names(template.joint_names)
+    for key in FLAME_KEYS.keys() & truth.keys():
+        rotations[[joints.index(name) for name in FLAME_KEYS[key]]] = truth[key].view(-1, 3)
+    return replace(
+        parameters,
+        rotations=rotations,
+        translation=truth.get("translation", parameters.translation),
+        expression=truth.get("expr", parameters.expression),
+    )
 
 
 if __name__ == "__main__":

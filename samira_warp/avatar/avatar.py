@@ -2,29 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from numbers import Real
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import nn
 
-from samira_warp.avatar.canonical import CanonicalHead, neck_rotation
+from samira_warp.avatar.canonical import CanonicalHead
 from samira_warp.avatar.editing import MaterialEdit, edit_materials
 from samira_warp.avatar.gaussians import Gaussians
 from samira_warp.avatar.gbuffer import GBuffer, render_gbuffer
 from samira_warp.avatar.residual import axis_angle_to_quaternion, limit_residual, quaternion_product
 from samira_warp.avatar.response import response_factors, response_map
-from samira_warp.avatar.storage import (
-    DESCRIPTION_FILE,
-    TENSORS_FILE,
-    StoredAvatar,
-    find_avatar,
-    read_avatar,
-    write_avatar,
-)
+from samira_warp.avatar.settings import AvatarSettings
+from samira_warp.avatar.storage import find_avatar, naming_misfits, read_avatar, write_avatar
 from samira_warp.geometry.camera import Camera
 from samira_warp.head import REGIONS, FrameParameters, PosedHead, UvAtlas
 from samira_warp.kernels.gathering.gather import GatherTable, bilinear_table, gather
@@ -39,41 +33,12 @@ from samira_warp.light import (
     shade,
     to_display,
 )
-from samira_warp.nets import Conditions, ConditionStatistics, MotionNetwork, MotionSettings
+from samira_warp.nets import Conditions, ConditionStatistics, MotionNetwork
 from samira_warp.support.errors import UserError
 from samira_warp.surface import Surface
 
 DISPLACEMENT_UNIT = 0.01
 """Metres; expressions move the skin by a few millimetres, so D_uv in this unit is about one."""
-
-POSE_SIZE = 15
-"""Rotation, neck and jaw, three each, and six for the eyes."""
-
-
-@dataclass(frozen=True)
-class AvatarSettings:
-    """What an avatar is made of; saved with it.
-
-    Attributes:
-        uv_size: Width and height of the UV maps.
-        motion: Sizes and variants of the motion network.
-        residual: Refine mesh binding by the motion network (Eq. final_motion).
-        response: Learn semantic response factors; False keeps tau = 1.
-        displacement_frame: "head" removes the neck joint's motion from D_uv; "world" is the literal Eq.
-            uv_displacement.
-        residual_frame: Axes of the residual: "world" is Eq. final_motion; "head" turns with the neck joint.
-        color_space: "srgb" shades in linear light and encodes; "raw" shades in image values.
-        tied_light: The learned light is one map for diffuse and specular light, instead of two.
-    """
-
-    uv_size: int = 256
-    motion: MotionSettings = field(default_factory=MotionSettings)
-    residual: bool = True
-    response: bool = True
-    displacement_frame: Literal["head", "world"] = "head"
-    residual_frame: Literal["world", "head"] = "world"
-    color_space: Literal["srgb", "raw"] = "srgb"
-    tied_light: bool = False
 
 
 class Motion(NamedTuple):
@@ -149,7 +114,7 @@ class Avatar(nn.Module):
             image_features=image_features,
             masks=_one_hot_masks(canonical.atlas),
             expression_size=canonical.template.n_expression,
-            pose_size=POSE_SIZE,
+            pose_size=canonical.rig.pose_size,
         )
         self.statistics = statistics
         self.response_logits = nn.Parameter(torch.zeros(len(REGIONS), 2))
@@ -188,7 +153,7 @@ class Avatar(nn.Module):
         sampled = gather(residual.reshape(-1, residual.shape[-1]), self.uv_samples)
         position, rotation = limit_residual(sampled)
         if self.settings.residual_frame == "head":
-            axes = neck_rotation(head).T
+            axes = head.head_transform[:3, :3].T
             position, rotation = position @ axes, rotation @ axes
         refined = bound._replace(
             means=bound.means + position,
@@ -294,6 +259,24 @@ class Avatar(nn.Module):
         """
         return to_display(values, color_space=self.settings.color_space)
 
+    def load_state_dict(
+        self, state_dict: Mapping[str, Any], strict: bool = True, assign: bool = False
+    ) -> Any:
+        """Take another avatar's state, and rebuild the tables that depend on its Gaussians' faces and UVs.
+
+        Raises:
+            UserError: It has another number of Gaussians; nothing is taken then. `set_gaussians` changes the
+                number, `load` makes an avatar of a folder's own.
+        """
+        means = state_dict.get("gaussians.means")
+        if means is not None and len(means) != len(self.gaussians):
+            raise UserError(
+                "state_dict", expected=f"the {len(self.gaussians)} Gaussians of this avatar", found=len(means)
+            )
+        result = super().load_state_dict(state_dict, strict=strict, assign=assign)
+        self.set_gaussians(self.gaussians)
+        return result
+
     def save(self, folder: Path, *, record: dict[str, Any]) -> None:
         """Write the avatar's files into an existing folder.
 
@@ -303,78 +286,40 @@ class Avatar(nn.Module):
             folder: Where.
             record: How it was made, as plain JSON values.
         """
-        template = self.canonical.template
-        tensors = {**self.state_dict(), "shape": self.canonical.shape}
-        if self.canonical.static_offset is not None:
-            tensors["static_offset"] = self.canonical.static_offset
-        write_avatar(folder, settings=self.settings, record=record, tensors=tensors, template=template)
-        self.light.environment().save(folder)
+        write_avatar(
+            folder,
+            canonical=self.canonical,
+            settings=self.settings,
+            state=self.state_dict(),
+            light=self.light.environment(),
+            record=record,
+        )
 
     @classmethod
     def load(cls, path: str | Path, *, device: torch.device | str = "cpu") -> Avatar:
         """Load an avatar from its folder, or from the run folder that it is in.
 
         Raises:
-            UserError: A file is missing, broken, or of another format.
+            UserError: A file is missing, broken, or of an unknown version.
         """
         folder = find_avatar(Path(path))
-        stored = read_avatar(folder, device="cpu")
-        _check_settings(folder, stored.settings)
-        try:
-            return cls._from_stored(stored).to(device)
-        except (KeyError, TypeError, RuntimeError) as error:
-            misfit = str(error).splitlines()[-1].strip()
-            raise UserError(
-                folder / TENSORS_FILE, expected=f"tensors as {DESCRIPTION_FILE} describes them", found=misfit
-            ) from error
-
-    @classmethod
-    def _from_stored(cls, stored: StoredAvatar) -> Avatar:
-        """The avatar on the CPU; a description or tensors that do not fit raise whatever they raise."""
-        settings = AvatarSettings(
-            **{**stored.settings, "motion": MotionSettings(**stored.settings["motion"])}
-        )
-        tensors = dict(stored.tensors)
-        canonical = CanonicalHead.build(
-            stored.template,
-            shape=tensors.pop("shape"),
-            static_offset=tensors.pop("static_offset", None),
-            uv_size=settings.uv_size,
-        )
-        prefix = "motion.image_features_"
-        levels = sorted(name for name in tensors if name.startswith(prefix))
-        avatar = cls(
-            canonical,
-            settings,
-            gaussians=Gaussians(
-                {name: tensors[f"gaussians.{name}"] for name in (*Gaussians.PARAMETERS, *Gaussians.CONSTANTS)}
-            ),
-            image_features=[tensors[name] for name in levels],
-            statistics=ConditionStatistics(expression_size=stored.template.n_expression, pose_size=POSE_SIZE),
-            light=LearnableLight(torch.ones(3), tied=settings.tied_light),
-        )
-        avatar.load_state_dict(tensors)
-        return avatar
-
-
-def _check_settings(folder: Path, settings: dict[str, Any]) -> None:
-    """Raise UserError unless every setting is there: a default would be another avatar."""
-    for kind, values in ((AvatarSettings, settings), (MotionSettings, settings.get("motion"))):
-        expected = {setting.name for setting in fields(kind)}
-        found = set(values) if isinstance(values, dict) else set()
-        if found != expected:
-            differing = ", ".join(sorted(found ^ expected))
-            raise UserError(
-                folder / DESCRIPTION_FILE,
-                expected="an avatar's settings",
-                found=f"others or none: {differing}",
+        with naming_misfits(folder):
+            stored = read_avatar(folder)
+            avatar = cls(
+                stored.canonical,
+                stored.settings,
+                gaussians=stored.gaussians,
+                image_features=stored.image_features,
+                statistics=stored.statistics,
+                light=stored.light,
             )
+            avatar.load_state_dict(stored.state)
+        return avatar.to(device)
 
 
 def conditions_of(parameters: FrameParameters) -> Conditions:
-    """The network's conditions of one frame, as they came."""
-    pose = torch.cat([parameters.rotation, parameters.neck, parameters.jaw, parameters.eyes])
-    return Conditions(parameters.translation, parameters.expression, pose)
+    """The network's conditions of one frame or a batch, as they came."""
+    return Conditions(parameters.translation, parameters.expression, parameters.rotations.flatten(-2))
 
 
 def _shade_pixels(

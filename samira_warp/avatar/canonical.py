@@ -5,19 +5,19 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import torch
+from torch import Tensor
 
-from samira_warp.head import FrameParameters, HeadModel, HeadTemplate, PosedHead, UvAtlas
-from samira_warp.head.model import NECK
+from samira_warp.head import FrameParameters, HeadTemplate, PosedHead, Rig, UvAtlas
 from samira_warp.kernels.mesh.triangle_frames import MeshTopology
 
 
 @dataclass(frozen=True, eq=False)
 class CanonicalHead:
-    """One subject's head model, its atlas and its reference mesh M_ref.
+    """One subject's rig, its atlas and its reference mesh M_ref.
 
     Attributes:
-        template: The head model's file content.
-        model: The head model.
+        template: The head's file content.
+        rig: What poses it.
         topology: Its triangles.
         atlas: Its UV atlas.
         shape: (n_shape,) identity coefficients.
@@ -27,60 +27,56 @@ class CanonicalHead:
     """
 
     template: HeadTemplate
-    model: HeadModel
+    rig: Rig
     topology: MeshTopology
     atlas: UvAtlas
-    shape: torch.Tensor
-    static_offset: torch.Tensor | None
-    vertices: torch.Tensor
-    positions: torch.Tensor
+    shape: Tensor
+    static_offset: Tensor | None
+    vertices: Tensor
+    positions: Tensor
 
     @classmethod
     def build(
-        cls, template: HeadTemplate, *, shape: torch.Tensor, static_offset: torch.Tensor | None, uv_size: int
+        cls, template: HeadTemplate, *, shape: Tensor, static_offset: Tensor | None, uv_size: int
     ) -> CanonicalHead:
         """Set up a subject's head.
 
         Args:
-            template: The head model's file content.
+            template: The head's file content.
             shape: (n_shape,) identity coefficients.
             static_offset: (V, 3) metres, or None.
             uv_size: Width and height of the UV maps.
         """
-        model = HeadModel.build(template)
+        rig = Rig.build(template)
         atlas = UvAtlas.build(template, size=uv_size)
         topology = MeshTopology.build(torch.from_numpy(template.faces), len(template.v_template))
-        vertices = model.vertices(replace(model.rest(), static_offset=static_offset), shape).vertices
-        return cls(
-            template, model, topology, atlas, shape, static_offset, vertices, atlas.positions(vertices)
-        )
+        vertices = rig.pose(rig.rest(), shape, static_offset).vertices
+        return cls(template, rig, topology, atlas, shape, static_offset, vertices, atlas.positions(vertices))
 
     def to(self, device: torch.device | str) -> CanonicalHead:
         """The same head on ``device``."""
-        movable = ("model", "topology", "atlas", "shape", "vertices", "positions")
-        moved = {name: getattr(self, name).to(device) for name in movable}
         return replace(
-            self, **moved, static_offset=None if self.static_offset is None else self.static_offset.to(device)
+            self,
+            rig=self.rig.to(device),
+            topology=self.topology.to(device),
+            atlas=self.atlas.to(device),
+            shape=self.shape.to(device),
+            static_offset=None if self.static_offset is None else self.static_offset.to(device),
+            vertices=self.vertices.to(device),
+            positions=self.positions.to(device),
         )
 
     def pose(self, parameters: FrameParameters) -> PosedHead:
-        """The posed mesh M_t, with the subject's own shape and static offset, whatever offset the parameters
-        came with.
-        """
-        return self.model.vertices(replace(parameters, static_offset=self.static_offset), self.shape)
+        """The posed meshes M_t, with the subject's own shape and static offset."""
+        return self.rig.pose(parameters, self.shape, self.static_offset)
 
-    def displacement(self, head: PosedHead, *, in_head: bool) -> torch.Tensor:
+    def displacement(self, head: PosedHead, *, in_head: bool) -> Tensor:
         """D_uv (H, W, 3) in metres (Eq. uv_displacement).
 
         Args:
-            head: The posed mesh.
-            in_head: Undo the neck joint's motion first, so that what is left is expression; False is the
+            head: One posed mesh.
+            in_head: Undo the head joint's motion first, so that what is left is expression; False is the
                 equation as written.
         """
         vertices = head.in_head_frame() if in_head else head.vertices
         return self.atlas.positions(vertices - self.vertices)
-
-
-def neck_rotation(head: PosedHead) -> torch.Tensor:
-    """(3, 3) rotation of the head from the reference mesh's axes to the world's."""
-    return head.joint_transforms[NECK, :3, :3]

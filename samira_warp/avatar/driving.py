@@ -9,14 +9,18 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import torch
+from torch import Tensor
 
-from samira_warp.avatar.avatar import conditions_of
 from samira_warp.head import FrameParameters, HeadTemplate
+from samira_warp.head.joints import known_names
 from samira_warp.support.errors import UserError
 
 SHARED_NAMES = 0.8
 """Share of a driver's expressions that the avatar must know by name: with less, a face that speaks and blinks
 is not carried over."""
+
+OF_THE_FACE = ("jaw",)
+"""Joints whose pose is a part of the face's expression, and so is taken relative to the neutral face's."""
 
 _NUMBERED = re.compile(
     r"(exp|expr|expression|shape|blend_?shape|bs|component|coefficient|pc)?[\W_]*\d*", re.IGNORECASE
@@ -25,57 +29,58 @@ _NUMBERED = re.compile(
 
 
 class PoseRange(NamedTuple):
-    """What poses an avatar was trained on; beyond them its residuals and the far side of its head are
-    guesses.
+    """What poses an avatar was trained on.
+
+    Beyond them its residuals and the far side of its head are guesses.
 
     Attributes:
-        low: (15,) least value of rotation, neck, jaw and eyes, axis-angle radians.
-        high: (15,) greatest value.
+        low: (J, 3) least value of each joint's axis-angle, radians.
+        high: (J, 3) greatest value.
     """
 
-    low: torch.Tensor
-    high: torch.Tensor
+    low: Tensor
+    high: Tensor
 
     @classmethod
-    def of(cls, parameters: Iterable[FrameParameters]) -> PoseRange:
+    def of(cls, frames: Iterable[FrameParameters]) -> PoseRange:
         """The range of some frames, at least one."""
-        poses = torch.stack([conditions_of(frame).pose for frame in parameters])
-        return cls(poses.amin(dim=0), poses.amax(dim=0))
+        rotations = torch.stack([frame.rotations for frame in frames])
+        return cls(rotations.amin(dim=0), rotations.amax(dim=0))
 
     def hold(self, parameters: FrameParameters) -> FrameParameters:
-        """The parameters with each number of their pose held to the range; translation and expression
-        stay.
+        """The parameters with each number of their pose held to the range.
+
+        Translation and expression stay.
         """
-        pose = conditions_of(parameters).pose.clamp(self.low, self.high)
-        rotation, neck, jaw, eyes = pose.split((3, 3, 3, 6))
-        return replace(parameters, rotation=rotation, neck=neck, jaw=jaw, eyes=eyes)
+        return replace(parameters, rotations=parameters.rotations.clamp(self.low, self.high))
 
 
-class ExpressionMap(NamedTuple):
-    """Which of a driver's expressions are which of the avatar's.
+class NameMap(NamedTuple):
+    """Which of a driver's expressions or joints are which of the avatar's.
 
     Attributes:
-        source: (M,) int64 indices of the driver's expressions.
+        source: (M,) int64 indices of the driver's.
         target: (M,) int64 indices of the avatar's.
         size: How many the avatar has; those without a source stay 0.
-        left_out: Names of the driver's expressions that the avatar does not know.
+        left_out: Names of the driver's that the avatar does not know.
     """
 
-    source: torch.Tensor
-    target: torch.Tensor
+    source: Tensor
+    target: Tensor
     size: int
     left_out: tuple[str, ...] = ()
 
     @classmethod
-    def identity(cls, size: int) -> ExpressionMap:
+    def identity(cls, size: int) -> NameMap:
         """The map between two heads of one template."""
         return cls(torch.arange(size), torch.arange(size), size)
 
-    def carry(self, expression: torch.Tensor) -> torch.Tensor:
-        """(E,) coefficients of the avatar from those of the driver."""
-        carried = expression.new_zeros(self.size)
-        carried[self.target] = expression[self.source]
-        return carried
+    def carry(self, values: Tensor, *, dim: int = -1) -> Tensor:
+        """Values of the avatar's from those of the driver's along a dimension."""
+        shape = list(values.shape)
+        shape[dim] = self.size
+        source, target = self.source.to(values.device), self.target.to(values.device)
+        return values.new_zeros(shape).index_copy(dim, target, values.index_select(dim, source))
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,33 +93,47 @@ class Driver:
     driver's as they are, for its camera watches them.
 
     Attributes:
-        expressions: From the driver's template to the avatar's.
+        template: The template of the driver's parameters.
+        expressions: From the driver's expressions to the avatar's.
+        joints: From the driver's joints to the avatar's.
         neutral: The driver's frame with a neutral face; None where zero is.
         gain: Factor on the expression, relative to neutral.
         seen: Where the pose is held; None leaves it free.
     """
 
-    expressions: ExpressionMap
+    template: HeadTemplate
+    expressions: NameMap
+    joints: NameMap
     neutral: FrameParameters | None = None
     gain: float = 1.0
     seen: PoseRange | None = None
 
+    @classmethod
+    def own(cls, template: HeadTemplate, *, gain: float = 1.0) -> Driver:
+        """How an avatar's own frames drive it."""
+        expressions = NameMap.identity(template.n_expression)
+        return cls(template, expressions, NameMap.identity(len(template.joint_names)), gain=gain)
+
     def drive(self, parameters: FrameParameters) -> FrameParameters:
-        """One frame of the driver as the avatar's; a static offset, which is the driver's own, is left
-        out.
-        """
-        expression, jaw = parameters.expression, parameters.jaw
+        """The driver's frames, one or a batch, as the avatar's."""
+        expression, rotations = parameters.expression, parameters.rotations
         if self.neutral is not None:
-            expression, jaw = expression - self.neutral.expression, jaw - self.neutral.jaw
+            expression = expression - self.neutral.expression
+            facial = [name in OF_THE_FACE for name in self.template.joint_names]
+            relative = torch.tensor(facial, device=rotations.device)[:, None]
+            rotations = torch.where(relative, rotations - self.neutral.rotations, rotations)
         driven = replace(
-            parameters, expression=self.gain * self.expressions.carry(expression), jaw=jaw, static_offset=None
+            parameters,
+            expression=self.gain * self.expressions.carry(expression),
+            rotations=self.joints.carry(rotations, dim=-2),
         )
         return driven if self.seen is None else self.seen.hold(driven)
 
 
-def match_expressions(driver: HeadTemplate, avatar: HeadTemplate, *, source: object) -> ExpressionMap:
-    """Match the expressions of two templates: all of them where the templates are one, else those of the same
-    names.
+def match_expressions(driver: HeadTemplate, avatar: HeadTemplate, *, source: object) -> NameMap:
+    """Match the expressions of two templates.
+
+    All of them match where the templates are one, else those of the same names.
 
     Args:
         driver: The template of the sequence that drives.
@@ -126,29 +145,54 @@ def match_expressions(driver: HeadTemplate, avatar: HeadTemplate, *, source: obj
             have too.
     """
     if driver.hash == avatar.hash:
-        return ExpressionMap.identity(avatar.n_expression)
+        return NameMap.identity(avatar.n_expression)
     sources, targets = _real_names(driver), _real_names(avatar)
-    shared = [name for name in sources if name in targets]
-    if len(shared) < SHARED_NAMES * driver.n_expression or not shared:
+    found = _matched(driver.expression_names, sources, targets, size=avatar.n_expression)
+    shared = len(found.source)
+    if shared < SHARED_NAMES * driver.n_expression or not shared:
         numbered = next(
             (words for names, words in ((sources, "its"), (targets, "the avatar's")) if not names), None
         )
-        reason = f"it shares the names of {len(shared)} of its {driver.n_expression} expressions"
+        reason = f"it shares the names of {shared} of its {driver.n_expression} expressions"
         if numbered is not None:
-            reason = f"{numbered} expressions have numbers for names, and one number is another movement on another head"
-        expected = f"the avatar's head template ({avatar.hash[:12]}), or one with {SHARED_NAMES:.0%} of its expressions named as there"
+            numbers = "expressions have numbers for names, and one number is another movement on another head"
+            reason = f"{numbered} {numbers}"
+        share = f"one with {SHARED_NAMES:.0%} of its expressions named as there"
         raise UserError(
-            source, expected=expected, found=f"another template ({driver.hash[:12]}), and {reason}"
+            source,
+            expected=f"the avatar's head template ({avatar.hash[:12]}), or {share}",
+            found=f"another template ({driver.hash[:12]}), and {reason}",
         )
-    return ExpressionMap(
-        source=torch.tensor([sources[name] for name in shared]),
-        target=torch.tensor([targets[name] for name in shared]),
-        size=avatar.n_expression,
-        left_out=tuple(
-            name
-            for index, name in enumerate(driver.expression_names)
-            if sources.get(name) != index or name not in targets
-        ),
+    return found
+
+
+def match_joints(driver: HeadTemplate, avatar: HeadTemplate) -> NameMap:
+    """Match the joints of two templates: the roots, which turn the whole head, and those of one name."""
+    sources, targets = (
+        {name: joint for joint, name in enumerate(known_names(template.joint_names))}
+        for template in (driver, avatar)
+    )
+    return _matched(driver.joint_names, sources, targets, size=len(avatar.joint_names))
+
+
+def _matched(
+    names: tuple[str, ...], sources: dict[str, int], targets: dict[str, int], *, size: int
+) -> NameMap:
+    """The map by what a driver's and an avatar's are known by.
+
+    Args:
+        names: All names of the driver's, for those that are left out.
+        sources: Index of each of the driver's by what it is known by.
+        targets: The same of the avatar's.
+        size: How many the avatar has.
+    """
+    shared = [name for name in sources if name in targets]
+    known = {sources[name] for name in shared}
+    return NameMap(
+        source=torch.tensor([sources[name] for name in shared], dtype=torch.int64),
+        target=torch.tensor([targets[name] for name in shared], dtype=torch.int64),
+        size=size,
+        left_out=tuple(name for index, name in enumerate(names) if index not in known),
     )
 
 

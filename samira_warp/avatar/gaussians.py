@@ -59,9 +59,22 @@ class Gaussians(nn.Module):
         "normals",
     )
     CONSTANTS = ("initial_normals", "faces", "uv")
+    NAMES = (*PARAMETERS, *CONSTANTS)
+
+    means: nn.Parameter
+    log_scales: nn.Parameter
+    quaternions: nn.Parameter
+    opacity_logits: nn.Parameter
+    albedo_logits: nn.Parameter
+    roughness_logits: nn.Parameter
+    specular_logits: nn.Parameter
+    normals: nn.Parameter
+    initial_normals: Tensor
+    faces: Tensor
+    uv: Tensor
 
     def __init__(self, values: dict[str, Tensor]) -> None:
-        """Take the tensors named by PARAMETERS and CONSTANTS."""
+        """Take the tensors named by NAMES."""
         super().__init__()
         for name in self.PARAMETERS:
             self.register_parameter(name, nn.Parameter(values[name].contiguous()))
@@ -101,7 +114,7 @@ class Gaussians(nn.Module):
 
     def tensors(self) -> dict[str, Tensor]:
         """Every parameter's and constant's current value, detached, by name."""
-        return {name: getattr(self, name).detach() for name in (*self.PARAMETERS, *self.CONSTANTS)}
+        return {name: getattr(self, name).detach() for name in self.NAMES}
 
     @classmethod
     def start(

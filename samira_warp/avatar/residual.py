@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import torch
+from torch import Tensor
 
 POSITION_LIMIT = 0.02
 """Metres, s_mu: more than tracking is wrong by, less than a lip's width."""
@@ -12,7 +13,7 @@ SMALL_ANGLE = 1e-4
 zero."""
 
 
-def limit_residual(residual: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+def limit_residual(residual: Tensor) -> tuple[Tensor, Tensor]:
     """Position residual in metres and rotation residual as axis-angle radians, within their limits.
 
     Args:
@@ -25,7 +26,7 @@ def limit_residual(residual: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     return POSITION_LIMIT * torch.tanh(position), torch.pi * torch.tanh(rotation)
 
 
-def axis_angle_to_quaternion(axis_angle: torch.Tensor) -> torch.Tensor:
+def axis_angle_to_quaternion(axis_angle: Tensor) -> Tensor:
     """Unit quaternions (..., 4) w, x, y, z of axis-angle vectors (..., 3), with a gradient at zero."""
     squared = (axis_angle * axis_angle).sum(dim=-1, keepdim=True)
     small = squared < SMALL_ANGLE**2
@@ -35,7 +36,7 @@ def axis_angle_to_quaternion(axis_angle: torch.Tensor) -> torch.Tensor:
     return torch.cat([cosine, sine_over_angle * axis_angle], dim=-1)
 
 
-def quaternion_product(left: torch.Tensor, right: torch.Tensor) -> torch.Tensor:
+def quaternion_product(left: Tensor, right: Tensor) -> Tensor:
     """Hamilton product (..., 4) of quaternions w, x, y, z: the rotation ``right`` followed by ``left``."""
     a, b, c, d = left.unbind(-1)
     w, x, y, z = right.unbind(-1)

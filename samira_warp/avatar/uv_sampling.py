@@ -1,10 +1,9 @@
-"""Geometry-based UV sampling (Alg. 1): where in the atlas each Gaussian reads its residual and its
-response.
-"""
+"""Geometry-based UV sampling (Alg. 1): where in the atlas each Gaussian reads residual and response."""
 
 from __future__ import annotations
 
 import torch
+from torch import Tensor
 
 from samira_warp.head import UvAtlas
 from samira_warp.kernels.mesh.barycentric import closest_barycentrics
@@ -13,13 +12,13 @@ from samira_warp.kernels.mesh.triangle_frames import MeshTopology, triangle_fram
 
 @torch.no_grad()
 def geometry_uv(
-    means: torch.Tensor,
-    face_ids: torch.Tensor,
+    means: Tensor,
+    face_ids: Tensor,
     *,
-    vertices: torch.Tensor,
+    vertices: Tensor,
     topology: MeshTopology,
     atlas: UvAtlas,
-) -> torch.Tensor:
+) -> Tensor:
     """UV coordinates u_i of Gaussians bound to a mesh.
 
     Args:

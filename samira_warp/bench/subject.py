@@ -9,7 +9,7 @@ import torch
 
 from samira_warp.avatar import Avatar, AvatarSettings, CanonicalHead, conditions_of
 from samira_warp.geometry.camera import Camera
-from samira_warp.head import FrameParameters, HeadTemplate
+from samira_warp.head import FLAME_JOINTS, FrameParameters, HeadTemplate
 from samira_warp.light import LearnableLight
 from samira_warp.nets import ConditionStatistics, MotionSettings, encode_reference
 from samira_warp.train.config import PRESETS
@@ -49,17 +49,17 @@ def make_template() -> HeadTemplate:
         index[:-1, 1:].ravel(),
     )
     faces = np.concatenate([np.stack([a, b, c], axis=1), np.stack([a, c, d], axis=1)]).astype(np.int32)
-    count = len(vertices)
-    weights = np.zeros((count, 5))
-    weights[:, 1] = 1.0
+    count, joints, neck = len(vertices), len(FLAME_JOINTS), FLAME_JOINTS.index("neck")
+    weights = np.zeros((count, joints))
+    weights[:, neck] = 1.0
     bands = ("scalp", "forehead", "left_eye_region", "nose", "lips", "face", "neck", "boundary")
     band = np.minimum((v.ravel() * len(bands)).astype(int), len(bands) - 1)
     return HeadTemplate(
         v_template=vertices.astype(np.float32),
         shapedirs=shapedirs.astype(np.float32),
         n_shape=0,
-        posedirs=np.zeros((count, 3, 36), np.float32),
-        joint_regressor=np.full((5, count), 1.0 / count, np.float32),
+        posedirs=np.zeros((count, 3, 9 * (joints - 1)), np.float32),
+        joint_regressor=np.full((joints, count), 1.0 / count, np.float32),
         parents=np.array([-1, 0, 1, 1, 1], np.int32),
         weights=weights.astype(np.float32),
         faces=faces,
@@ -67,19 +67,19 @@ def make_template() -> HeadTemplate:
         ft=faces.copy(),
         masks={name: np.flatnonzero(band == number).astype(np.int32) for number, name in enumerate(bands)},
         expression_names=tuple(f"expression_{number}" for number in range(EXPRESSIONS)),
+        joint_names=FLAME_JOINTS,
+        head_joint="neck",
     )
 
 
 def make_parameters(seed: int) -> FrameParameters:
     """A random expression and a slight turn of the head."""
     generator = torch.Generator().manual_seed(seed)
-    turn = 0.2 * torch.randn(3, generator=generator)
+    rotations = torch.zeros(len(FLAME_JOINTS), 3)
+    rotations[FLAME_JOINTS.index("neck")] = 0.2 * torch.randn(3, generator=generator)
     return FrameParameters(
         translation=torch.zeros(3),
-        rotation=torch.zeros(3),
-        neck=turn,
-        jaw=torch.zeros(3),
-        eyes=torch.zeros(6),
+        rotations=rotations,
         expression=torch.rand(EXPRESSIONS, generator=generator),
     )
 
@@ -109,7 +109,8 @@ def make_avatar(preset: str, *, device: torch.device | str) -> Avatar:
     settings = AvatarSettings(
         uv_size=sizes.uv_size, motion=MotionSettings(width=sizes.width, region_width=sizes.region_width)
     )
-    statistics = ConditionStatistics.of([conditions_of(make_parameters(seed)) for seed in range(8)])
+    frames = FrameParameters.stack([make_parameters(seed) for seed in range(8)])
+    statistics = ConditionStatistics.of(conditions_of(frames))
     light = LearnableLight(torch.ones(3))
     return Avatar(
         canonical, settings, gaussians=gaussians, image_features=features, statistics=statistics, light=light

@@ -8,6 +8,7 @@ import torch
 
 from samira_warp.bench.subject import make_avatar, make_camera, make_parameters
 from samira_warp.bench.timing import Stages, hardware, print_table, repeat
+from samira_warp.head import FrameParameters
 from samira_warp.train.config import PRESETS, LossWeights
 from samira_warp.train.losses import Target, total_loss
 from samira_warp.train.optimizer import make_optimizer, set_rates
@@ -19,7 +20,7 @@ def measure(device: torch.device, *, preset: str) -> dict[str, object]:
     size = PRESETS[preset].resolution
     avatar, camera = make_avatar(preset, device=device), make_camera(size).to(device)
     parameters = [make_parameters(seed).to(device) for seed in range(4)]
-    tracked = TrackedParameters(parameters).to(device)
+    tracked = TrackedParameters(FrameParameters.stack(parameters)).to(device)
     optimizer = make_optimizer(avatar, tracked)
     set_rates(optimizer, step=1000, steps=3000)
     grey = torch.full((size, size, 3), 0.5, device=device)

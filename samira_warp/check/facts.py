@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import torch
 
 from samira_warp.check.views import View
 from samira_warp.data import Listing, Sequence
@@ -41,27 +40,20 @@ def head_facts(sequence: Sequence, views: list[View]) -> dict[str, str]:
         views: Some of its frames.
     """
     template = sequence.template
-    parameters = [frame.parameters for frame in sequence.frames]
-    expression = torch.stack([each.expression for each in parameters]).numpy()
+    parameters = sequence.batch(range(len(sequence.frames)))
+    expression = parameters.expression.numpy()
     facts = {
         "template": _template(sequence.template_path, sequence),
-        "static offset": "none" if sequence.canonical_static_offset is None else "present",
+        "static offset": "none" if sequence.static_offset is None else "present",
         "identity": f"coefficients {_range(sequence.shape.numpy())}",
     }
     if expression.size:
         frame, shape = np.unravel_index(np.abs(expression).argmax(), expression.shape)
         most = f"the largest is {template.expression_names[shape]} in {sequence.frames[frame].name}"
         facts["expression"] = f"coefficients {_range(expression)}, {most}"
-    turns = {
-        name: torch.stack([getattr(each, name) for each in parameters])
-        for name in ("rotation", "neck", "jaw")
-    }
-    facts["turn"] = (
-        ", ".join(
-            f"{name} up to {float(turn.norm(dim=1).max().rad2deg()):.0f}" for name, turn in turns.items()
-        )
-        + " degrees"
-    )
+    turns = parameters.rotations.norm(dim=2).amax(dim=0).rad2deg().tolist()
+    moving = [(name, turn) for name, turn in zip(template.joint_names, turns, strict=True) if turn > 0]
+    facts["turn"] = ", ".join(f"{name} up to {turn:.0f} degrees" for name, turn in moving) or "none"
     if views:
         depths = [float(np.median(view.points[:, 2])) for view in views]
         facts["distance"] = f"{min(depths):.2f} to {max(depths):.2f} metres from the camera"

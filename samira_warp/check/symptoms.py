@@ -16,6 +16,7 @@ from samira_warp.check.matte_symptoms import matte_symptoms
 from samira_warp.check.views import View, project
 from samira_warp.data import Sequence
 from samira_warp.data.vhap import CANONICAL_FILE
+from samira_warp.head import HeadTemplate
 from samira_warp.support.constants import NEAR_PLANE
 
 EYES_APART = 0.063
@@ -104,12 +105,9 @@ def _mesh(sequence: Sequence, views: list[View]) -> Iterator[Finding]:
         mean
         + torch.from_numpy(template.shapedirs[..., : template.n_shape]).double() @ sequence.shape.double()
     )
-    if sequence.canonical_static_offset is not None:
-        head = head + sequence.canonical_static_offset.double()
-    regressor = torch.from_numpy(template.joint_regressor[3:5]).double()
-    in_template, tracked = (
-        float((eyes[0] - eyes[1]).norm()) for eyes in (regressor @ mean, regressor @ head)
-    )
+    if sequence.static_offset is not None:
+        head = head + sequence.static_offset.double()
+    in_template, tracked = (_eyes_apart(template, points) for points in (mean, head))
     for place, apart in (
         (sequence.template_path, in_template),
         (sequence.frames[0].parameters_path, tracked),
@@ -139,6 +137,15 @@ def _mesh(sequence: Sequence, views: list[View]) -> Iterator[Finding]:
             found,
             OTHER_FLAME,
         )
+
+
+def _eyes_apart(template: HeadTemplate, points: torch.Tensor) -> float:
+    """Metres between the eye joints of (V, 3) float64 vertices; 0 where a template has none."""
+    if not {"left_eye", "right_eye"} <= set(template.joint_names):
+        return 0.0
+    eyes = [template.joint_names.index(name) for name in ("left_eye", "right_eye")]
+    left, right = torch.from_numpy(template.joint_regressor[eyes]).double() @ points
+    return float((left - right).norm())
 
 
 def _place(sequence: Sequence, views: list[View]) -> Iterator[Finding]:

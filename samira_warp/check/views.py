@@ -11,8 +11,7 @@ from PIL import Image, ImageDraw
 
 from samira_warp.data import Frame, Sequence
 from samira_warp.data.pixels import load_mask
-from samira_warp.head import HeadModel
-from samira_warp.head.model import NECK
+from samira_warp.head import Rig
 from samira_warp.support.constants import NEAR_PLANE
 from samira_warp.support.errors import UserError
 
@@ -44,8 +43,8 @@ def sampled_views(sequence: Sequence, indices: Numbers[int]) -> list[View]:
     if not indices:
         return []
     chosen = np.unique(np.linspace(0, len(indices) - 1, min(SAMPLES, len(indices))).round().astype(int))
-    model = HeadModel.build(sequence.template)
-    return [_view(model, sequence, sequence.frames[indices[place]]) for place in chosen]
+    rig = Rig.build(sequence.template)
+    return [_view(rig, sequence, sequence.frames[indices[place]]) for place in chosen]
 
 
 def project(points: np.ndarray, frame: Frame) -> np.ndarray:
@@ -84,9 +83,9 @@ def coverage(view: View) -> np.ndarray | None:
 
 
 @torch.no_grad()
-def _view(model: HeadModel, sequence: Sequence, frame: Frame) -> View:
-    head = model.vertices(frame.parameters, sequence.shape)
+def _view(rig: Rig, sequence: Sequence, frame: Frame) -> View:
+    head = rig.pose(frame.parameters, sequence.shape, sequence.static_offset)
     pose = frame.camera.world_to_camera.double().numpy()
     points = head.vertices.double().numpy() @ pose[:3, :3].T + pose[:3, 3]
-    up = pose[:3, :3] @ head.joint_transforms[NECK, :3, 1].double().numpy()
+    up = pose[:3, :3] @ head.head_transform[:3, 1].double().numpy()
     return View(frame, points, project(points, frame), up)

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from samira_warp.data.frames import FrameFiles
 from samira_warp.data.pixels import FramePixels, load_pixels
@@ -67,8 +68,9 @@ class PixelCache:
         self._pending.clear()
 
     def prefetch(self, indices: Iterable[int]) -> None:
-        """Start decoding frames that will be asked for soon; a broken file is reported when its frame is
-        asked for.
+        """Start decoding frames that will be asked for soon.
+
+        A broken file is reported when its frame is asked for.
         """
         with self._lock:
             for index in indices:
@@ -113,9 +115,9 @@ class PixelCache:
                 self._kept_bytes -= dropped.bytes
 
 
-def _pack(values: torch.Tensor) -> np.ndarray:
+def _pack(values: Tensor) -> np.ndarray:
     return np.rint(np.clip(values.numpy(), 0.0, 1.0) * 65535.0).astype(np.uint16)
 
 
-def _unpack(values: np.ndarray) -> torch.Tensor:
+def _unpack(values: np.ndarray) -> Tensor:
     return torch.from_numpy(values.astype(np.float32) / np.float32(65535.0))

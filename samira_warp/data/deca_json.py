@@ -1,5 +1,6 @@
-"""What HRAvatar and IMavatar share, both tracked by an optimisation over DECA: cameras of an enlarged head,
-with OpenGL's axes.
+"""What HRAvatar and IMavatar share, both tracked by an optimisation over DECA.
+
+Their cameras are of an enlarged head and have OpenGL's axes.
 """
 
 from __future__ import annotations
@@ -10,17 +11,19 @@ import numpy as np
 
 from samira_warp.data.film import Intrinsics
 from samira_warp.data.numbers import numbers, world_to_camera
+from samira_warp.head.joints import FLAME_JOINTS
 from samira_warp.support.errors import UserError
-
-POSE = {"rotation": slice(0, 3), "neck": slice(3, 6), "jaw": slice(6, 9), "eyes": slice(9, 15)}
-"""Where the joints' axis-angles lie among the 15 numbers of a pose."""
 
 _TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 def pose_in_metres(place: object, value: object, *, scale: float) -> np.ndarray:
-    """(4, 4) world to camera in metres with OpenCV's axes, of a ``world_mat`` that looks along -z at a head
-    ``scale`` times as large.
+    """(4, 4) world to camera in metres with OpenCV's axes.
+
+    Args:
+        place: File and key, for what is said about them.
+        value: A ``world_mat`` that looks along -z.
+        scale: How many times as large the head is that it looks at.
 
     Raises:
         UserError: ``value`` is no rigid transform.
@@ -33,10 +36,10 @@ def pose_in_metres(place: object, value: object, *, scale: float) -> np.ndarray:
 def intrinsics_of(
     place: object, value: object, *, pixels_of: float | None
 ) -> Callable[[int, int, int], Intrinsics]:
-    """The camera of ``[fx, fy, cx, cy]``: shares of the picture's size, or pixels where the centre is beyond
-    1.
+    """The camera of ``[fx, fy, cx, cy]``.
 
-    A focal length may be negative: these trackers divide by a depth that is.
+    They are shares of the picture's size, or pixels where the centre is beyond 1. A focal length may be
+    negative: these trackers divide by a depth that is.
 
     Args:
         place: File and key, for what is said about them.
@@ -64,11 +67,15 @@ def intrinsics_of(
     return intrinsics
 
 
-def pose_parts(place: object, value: object) -> dict[str, np.ndarray]:
-    """The joints' axis-angles by name, of 15 numbers.
+def pose_of(place: object, value: object) -> np.ndarray:
+    """(5, 3) axis-angles of FLAME's joints, of 15 numbers.
 
     Raises:
         UserError: ``value`` is something else.
     """
-    pose = numbers(place, value, (15,))
-    return {name: pose[part] for name, part in POSE.items()}
+    return numbers(place, value, (3 * len(FLAME_JOINTS),)).reshape(-1, 3)
+
+
+def poses_by_joint(rows: np.ndarray) -> dict[str, np.ndarray]:
+    """(T, 3) axis-angles by joint, of (T, 5, 3)."""
+    return {name: rows[:, joint] for joint, name in enumerate(FLAME_JOINTS)}

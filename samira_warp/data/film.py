@@ -1,5 +1,6 @@
-"""The listing of a film that one camera took and a tracker followed: pictures, masks and cameras by the
-frames' names.
+"""The listing of a film that one camera took and a tracker followed.
+
+Pictures, masks and cameras are found by the frames' names.
 """
 
 from __future__ import annotations
@@ -117,12 +118,12 @@ def list_film(film: Film, split: Split, index: FileIndex) -> Listed:
         return timestep, frame
 
     read = each(files, range(len(matched)))
-    kept, frames = ([one[part] for one in read] for part in (0, 1))
-    trains = None if trains is None else [trains[timestep] for timestep in kept]
+    trains = None if trains is None else [trains[timestep] for timestep, _ in read]
+    frames = [frame for _, frame in read]
     listing = listing_of(
         film.root, split, frames, format=film.format, trains=trains, notes=(*film.notes, *notes)
     )
-    return Listed(listing, [matched[timestep][0] for timestep in kept], pose)
+    return Listed(listing, [matched[timestep][0] for timestep, _ in read], pose)
 
 
 def check_picture(path: Path, camera: Camera, index: FileIndex, *, said_by: str) -> None:
@@ -137,8 +138,9 @@ def check_picture(path: Path, camera: Camera, index: FileIndex, *, said_by: str)
 
 
 def check_shape(path: Path, camera: Camera, index: FileIndex, *, said_by: str) -> None:
-    """Raise UserError unless a mask or albedo shows the camera's view, at any size: a pixel's rounding of one
-    side is let pass.
+    """Raise UserError unless a mask or albedo shows the camera's view, at any size.
+
+    A pixel's rounding of one side is let pass.
     """
     width, height = index.picture_size(path)
     if abs(width * camera.height - height * camera.width) > max(width, height, camera.width, camera.height):
@@ -169,9 +171,8 @@ def _matched(film: Film) -> tuple[list[tuple[int, Path]], tuple[str, ...]]:
     notes = []
     untracked, unseen = sorted(set(pictures) - set(keys), key=natural), len(keys) - len(matched)
     if untracked:
-        notes.append(
-            f"{len(untracked)} pictures of {folder.name} have no tracked parameters and are left out, the first is {untracked[0]}"
-        )
+        left_out = f"{len(untracked)} pictures of {folder.name} have no tracked parameters and are left out"
+        notes.append(f"{left_out}, the first is {untracked[0]}")
     if unseen:
         notes.append(f"{unseen} tracked frames have no picture in {folder.name} and are left out")
     return matched, tuple(notes)

@@ -12,7 +12,7 @@ from samira_warp.data.index import FileIndex
 from samira_warp.data.metrical_tracker import FRAMES, open_metrical_tracker
 from samira_warp.data.pictures import files_of
 from samira_warp.data.split import Split
-from samira_warp.data.track import Reading
+from samira_warp.data.tracking import Reading
 from samira_warp.data.vhap import CANONICAL_FILE
 from samira_warp.data.vhap_heads import open_vhap
 from samira_warp.data.vhap_tracked import TRACKED, open_vhap_tracked

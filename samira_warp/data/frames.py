@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-import torch
+from torch import Tensor
 
 from samira_warp.data.lens import Lens
 from samira_warp.data.split import Split, divide_timesteps
 from samira_warp.geometry.camera import Camera
-from samira_warp.head.model import FrameParameters
+from samira_warp.head.parameters import FrameParameters
 from samira_warp.head.template import HeadTemplate
 from samira_warp.support.errors import UserError
 from samira_warp.support.faults import each
@@ -45,7 +46,11 @@ class FrameFiles:
 
 @dataclass(frozen=True, eq=False)
 class Frame(FrameFiles):
-    """A picture with its tracked parameters, which were read and checked."""
+    """A picture with its tracked parameters, which were read and checked.
+
+    Attributes:
+        parameters: What moved the head; frames of one moment may share memory.
+    """
 
     parameters: FrameParameters
 
@@ -168,12 +173,18 @@ class Sequence(Listing):
         shape: (n_shape,) float32 identity coefficients, the same for every frame.
         template: The head model that was tracked.
         template_path: Where it was read.
-        canonical_static_offset: (V, 3) float32 metres, None where the export has none; frames that repeat it
-            share its memory.
+        static_offset: (V, 3) float32 metres, the subject's own offset from the linear shapes; None where the
+            dataset has none.
     """
 
     frames: tuple[Frame, ...]
-    shape: torch.Tensor
+    shape: Tensor
     template: HeadTemplate
     template_path: Path
-    canonical_static_offset: torch.Tensor | None
+    static_offset: Tensor | None
+
+    def batch(self, indices: Iterable[int]) -> FrameParameters:
+        """Pose and expression of some frames as one batch; dynamic offsets stay with their frames."""
+        return FrameParameters.stack(
+            [replace(self.frames[index].parameters, dynamic_offset=None) for index in indices]
+        )

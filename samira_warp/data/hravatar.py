@@ -13,13 +13,14 @@ from typing import Any
 
 import numpy as np
 
-from samira_warp.data.deca_json import intrinsics_of, pose_in_metres, pose_parts
+from samira_warp.data.deca_json import intrinsics_of, pose_in_metres, pose_of, poses_by_joint
 from samira_warp.data.film import Film, list_film
 from samira_warp.data.index import FileIndex
 from samira_warp.data.numbers import numbers, stacked
 from samira_warp.data.pictures import stem_of
 from samira_warp.data.split import Split
-from samira_warp.data.track import Reading, Track, heads_of
+from samira_warp.data.track import Track, tracking_of
+from samira_warp.data.tracking import Reading
 from samira_warp.io.files import read_json
 from samira_warp.support.errors import UserError
 from samira_warp.support.faults import each
@@ -44,23 +45,29 @@ def open_hravatar(root: Path, split: Split, index: FileIndex) -> Reading:
             path, expected="an entry with fullposecode for each picture", found=f"{len(document)} others"
         )
     read = each(lambda name: (name, _row(path, name, entries[name], document, SCALES[path.name])), entries)
-    names, rows = ([one[part] for one in read] for part in (0, 1))
+    rows = stacked(path, [row for _, row in read])
     track = Track(
-        path=path, shape=numbers(f"{path}: shapecode", document.get("shapecode")), **stacked(path, rows)
+        path=path,
+        shape=numbers(f"{path}: shapecode", document.get("shapecode")),
+        expression=rows["expression"],
+        poses=poses_by_joint(rows["pose"]),
+        translation=rows["translation"],
+        world_to_camera=rows["world_to_camera"],
+        eyelids=rows["eyelids"],
     )
     film = Film(
         root=root,
         format=f"HRAvatar's {path.name}",
         image_folders=("image", "images"),
         mask_folders=("mask", "masks", "fg_masks"),
-        names=[stem_of(name) for name in names],
-        paths=[path] * len(rows),
+        names=[stem_of(name) for name, _ in read],
+        paths=[path] * len(read),
         world_to_camera=track.world_to_camera,
         intrinsics=intrinsics_of(f"{path}: intrinsics", document.get("intrinsics"), pixels_of=None),
     )
     listed = list_film(film, split, index)
     track = track.taken(listed.numbers)
-    return Reading(listed.listing, lambda template: heads_of(track, template, listed.pose))
+    return Reading(listed.listing, lambda template: tracking_of(track, template, listed.pose))
 
 
 def _row(
@@ -69,7 +76,7 @@ def _row(
     place = f"{path}: {name}"
     return {
         "expression": numbers(f"{place}: expcode", entry.get("expcode")),
-        **pose_parts(f"{place}: fullposecode", entry["fullposecode"]),
+        "pose": pose_of(f"{place}: fullposecode", entry["fullposecode"]),
         "translation": numbers(f"{place}: translation", entry.get("translation", [0.0] * 3), (3,)),
         "eyelids": numbers(f"{place}: eyelids", entry.get("eyelids", [0.0] * 2), (2,)),
         "world_to_camera": pose_in_metres(

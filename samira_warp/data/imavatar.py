@@ -1,6 +1,7 @@
 """IMavatar's datasets, which PointAvatar, FLARE and SplattingAvatar read as well.
 
-    flame_params.json   intrinsics [fx, fy, cx, cy], shape_params, frames [file_path "./image/1", world_mat (3 x 4), expression, pose (15)]
+    flame_params.json   intrinsics [fx, fy, cx, cy], shape_params,
+                        frames [file_path "./image/1", world_mat (3 x 4), expression, pose (15)]
     image/, mask/       pictures 1.png, 2.png, ...
 
 The head is four times as large as in metres, the camera looks along -z, and fx is negative.
@@ -12,13 +13,14 @@ from pathlib import Path
 
 import numpy as np
 
-from samira_warp.data.deca_json import intrinsics_of, pose_in_metres, pose_parts
+from samira_warp.data.deca_json import intrinsics_of, pose_in_metres, pose_of, poses_by_joint
 from samira_warp.data.film import Film, list_film
 from samira_warp.data.index import FileIndex
 from samira_warp.data.numbers import numbers, stacked
 from samira_warp.data.pictures import stem_of
 from samira_warp.data.split import Split
-from samira_warp.data.track import Reading, Track, heads_of
+from samira_warp.data.track import Track, tracking_of
+from samira_warp.data.tracking import Reading
 from samira_warp.io.files import read_json
 from samira_warp.support.errors import UserError
 from samira_warp.support.faults import each
@@ -45,22 +47,28 @@ def open_imavatar(root: Path, split: Split, index: FileIndex) -> Reading:
     if not isinstance(frames, list) or not frames:
         raise UserError(path, expected="a list 'frames' of tracked frames", found="none")
     read = each(lambda number: _row(f"{path}: frames[{number}]", frames[number]), range(len(frames)))
-    names, rows = ([one[part] for one in read] for part in (0, 1))
-    shape = numbers(f"{path}: shape_params", document.get("shape_params"))
-    track = Track(path=path, shape=shape, translation=np.zeros((len(rows), 3)), **stacked(path, rows))
+    rows = stacked(path, [row for _, row in read])
+    track = Track(
+        path=path,
+        shape=numbers(f"{path}: shape_params", document.get("shape_params")),
+        expression=rows["expression"],
+        poses=poses_by_joint(rows["pose"]),
+        translation=np.zeros((len(read), 3)),
+        world_to_camera=rows["world_to_camera"],
+    )
     film = Film(
         root=root,
         format=f"IMavatar's {PARAMETERS}",
         image_folders=("image", "images"),
         mask_folders=("mask", "masks", "fg_masks"),
-        names=names,
-        paths=[path] * len(rows),
+        names=[name for name, _ in read],
+        paths=[path] * len(read),
         world_to_camera=track.world_to_camera,
         intrinsics=intrinsics_of(f"{path}: intrinsics", document.get("intrinsics"), pixels_of=PIXELS_OF),
     )
     listed = list_film(film, split, index)
     track = track.taken(listed.numbers)
-    return Reading(listed.listing, lambda template: heads_of(track, template, listed.pose))
+    return Reading(listed.listing, lambda template: tracking_of(track, template, listed.pose))
 
 
 def _row(place: str, frame: object) -> tuple[str, dict[str, np.ndarray]]:
@@ -69,6 +77,6 @@ def _row(place: str, frame: object) -> tuple[str, dict[str, np.ndarray]]:
         raise UserError(place, expected="an object with a file_path", found=type(frame).__name__)
     return stem_of(frame["file_path"]), {
         "expression": numbers(f"{place}: expression", frame.get("expression")),
-        **pose_parts(f"{place}: pose", frame.get("pose")),
+        "pose": pose_of(f"{place}: pose", frame.get("pose")),
         "world_to_camera": pose_in_metres(f"{place}: world_mat", frame.get("world_mat"), scale=SCALE),
     }

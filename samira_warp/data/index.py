@@ -1,9 +1,8 @@
-"""What was read of a dataset's files, kept in the user's cache folder, so that a long sequence opens in
-seconds the second time.
+"""What was read of a dataset's files, kept in the user's cache folder.
 
-Every file is looked at on every opening; what was read of it counts only while its size, its time and the
-time of its last change are the same. Archives and copies set a file's time as they like; the system alone
-sets that of the change.
+A long sequence then opens in seconds the second time. Every file is looked at on every opening; what was read
+of it counts only while its size, its time and the time of its last change are the same. Archives and copies
+set a file's time as they like; the system alone sets that of the change.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ import zipfile
 import zlib
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -81,8 +80,9 @@ class FileIndex:
         return size
 
     def arrays(self, path: Path, read: Callable[[Path], dict[str, np.ndarray]]) -> dict[str, np.ndarray]:
-        """What ``read`` gives for a file of a frame's parameters, as float32; arrays of anything but numbers
-        as they are.
+        """What ``read`` gives for a file of a frame's parameters, as float32.
+
+        Arrays of anything but numbers stay as they are.
         """
         name, stamp = self._name(path), _stamp(path)
         known = self._rows.get(name)
@@ -96,16 +96,15 @@ class FileIndex:
         return self._unpack(self._rows[name])
 
     def save(self) -> None:
-        """Keep the index; where the cache folder cannot be written, the next opening reads the files
-        again.
-        """
+        """Keep the index; where its folder cannot be written, the next opening reads the files again."""
         if not self._changed or max(len(self._sizes), len(self._rows)) < FEWEST_FILES:
             return
         fresh = self._path.with_name(f".{self._path.name}.{os.getpid()}")
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)
             with fresh.open("wb") as file:
-                np.savez(file, **self._to_arrays())
+                arrays: dict[str, Any] = self._to_arrays()
+                np.savez(file, **arrays)
             fresh.replace(self._path)
         except OSError:
             with contextlib.suppress(OSError):

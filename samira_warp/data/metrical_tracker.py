@@ -1,7 +1,7 @@
-"""metrical-tracker's output and the INSTA datasets made of it: a checkpoint of every frame beside the
-pictures.
+"""metrical-tracker's output and the INSTA datasets made of it: a checkpoint beside each picture.
 
-    checkpoint/00001.frame   what torch.save wrote: flame (exp, shape, eyes, jaw, eyelids), opencv (R, t, K), img_size
+    checkpoint/00001.frame   what torch.save wrote: flame (exp, shape, eyes, jaw, eyelids), opencv (R, t, K),
+                             img_size
     images/00001.png         or input/; RGBA pictures bring their coverage
     transforms_train.json, transforms_test.json   INSTA's division, if there
 
@@ -22,7 +22,9 @@ from samira_warp.data.index import FileIndex
 from samira_warp.data.numbers import check_rotation, numbers, stacked
 from samira_warp.data.pictures import files_of, key_of, pictures_of, stem_of
 from samira_warp.data.split import Split
-from samira_warp.data.track import Reading, Track, heads_of
+from samira_warp.data.track import Track, tracking_of
+from samira_warp.data.tracking import Reading
+from samira_warp.head.joints import ROOT
 from samira_warp.io.files import read_json
 from samira_warp.io.pickles import arrays_of, read_torch_archive
 from samira_warp.support.errors import UserError
@@ -51,8 +53,8 @@ def open_metrical_tracker(root: Path, split: Split, index: FileIndex) -> Reading
     """
     read = each(lambda path: (path, _checked(path, index.arrays(path, _read_frame))), files_of(root, FRAMES))
     read = each(lambda one: _of_one_person(*one, read[0]), read)
-    paths, payloads = ([one[part] for one in read] for part in (0, 1))
-    rows = stacked(paths[0].parent, payloads)
+    paths = [path for path, _ in read]
+    rows = stacked(paths[0].parent, [arrays for _, arrays in read])
     track = _track(paths[0].parent, rows)
 
     def intrinsics(number: int, width: int, height: int) -> Intrinsics:
@@ -77,7 +79,7 @@ def open_metrical_tracker(root: Path, split: Split, index: FileIndex) -> Reading
     ]
     listing = replace(listed.listing, doubts=tuple(doubts))
     track = track.taken(listed.numbers)
-    return Reading(listing, lambda template: heads_of(track, template, listed.pose))
+    return Reading(listing, lambda template: tracking_of(track, template, listed.pose))
 
 
 def _in_picture(matrix: np.ndarray, size: np.ndarray, *, width: int, height: int) -> Intrinsics:
@@ -123,7 +125,7 @@ def _other_shape(frame: FrameFiles, size: np.ndarray) -> UserError | None:
 
 
 def _track(path: Path, rows: dict[str, np.ndarray]) -> Track:
-    """The head stands still at the origin, the camera moves."""
+    """The head stands still at the origin and does not bend its neck, the camera moves."""
     still = np.zeros((len(rows["t"]), 3))
     pose = np.tile(np.eye(4), (len(still), 1, 1))
     pose[:, :3, :3], pose[:, :3, 3] = rows["R"], rows["t"]
@@ -131,10 +133,13 @@ def _track(path: Path, rows: dict[str, np.ndarray]) -> Track:
         path=path,
         shape=rows["shape"][0],
         expression=rows["exp"],
-        rotation=still,
-        neck=still,
-        jaw=rotation_vectors(rows["jaw"]),
-        eyes=np.concatenate([rotation_vectors(part) for part in np.split(rows["eyes"], 2, axis=1)], axis=1),
+        poses={
+            ROOT: still,
+            "neck": still,
+            "jaw": rotation_vectors(rows["jaw"]),
+            "left_eye": rotation_vectors(rows["eyes"][:, :6]),
+            "right_eye": rotation_vectors(rows["eyes"][:, 6:]),
+        },
         translation=still,
         world_to_camera=pose,
         eyelids=rows["eyelids"],
@@ -142,8 +147,10 @@ def _track(path: Path, rows: dict[str, np.ndarray]) -> Track:
 
 
 def rotation_vectors(rows: np.ndarray) -> np.ndarray:
-    """(T, 3) axis-angle of (T, 6) rotations given by the first two rows of their matrix, made orthonormal
-    (Zhou et al. 2019).
+    """(T, 3) axis-angle of (T, 6) rotations given by the first two rows of their matrix.
+
+    The rows are made orthonormal as in Zhou et al., "On the continuity of rotation representations in neural
+    networks", 2019.
     """
     first = rows[:, :3] / np.linalg.norm(rows[:, :3], axis=1, keepdims=True)
     second = rows[:, 3:] - (first * rows[:, 3:]).sum(axis=1, keepdims=True) * first
@@ -191,8 +198,9 @@ def _checked(path: Path, arrays: dict[str, np.ndarray]) -> dict[str, np.ndarray]
 
 
 def _of_one_person(path: Path, arrays: dict[str, np.ndarray], first: _Read) -> _Read:
-    """The same file and arrays, if their identity is the first one's; coefficients are of order 1: float32
-    text round trips lose 1e-5.
+    """The same file and arrays, if their identity is the first one's.
+
+    Coefficients are of order 1: float32 text round trips lose 1e-5.
     """
     shape, wanted = arrays["shape"], first[1]["shape"]
     if shape.shape != wanted.shape or not np.allclose(shape, wanted, atol=1e-5):

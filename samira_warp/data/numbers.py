@@ -62,15 +62,16 @@ def world_to_camera(place: object, value: object) -> np.ndarray:
     Raises:
         UserError: ``value`` is something else.
     """
-    rows = numbers(place, value, (4, 4) if np.size(value) == 16 else (3, 4))
+    rows = numbers(place, value, (4, 4) if np.asarray(value, object).size == 16 else (3, 4))
     matrix = np.concatenate([rows[:3], [[0.0, 0.0, 0.0, 1.0]]])
     check_rotation(place, matrix[:3, :3])
     return matrix
 
 
 def check_rotation(place: object, rotation: np.ndarray) -> None:
-    """Raise UserError unless a (3, 3) matrix is a rotation; 1e-3 lets pass what was written with four
-    decimals.
+    """Raise UserError unless a (3, 3) matrix is a rotation.
+
+    A tolerance of 1e-3 lets pass what was written with four decimals.
     """
     if np.abs(rotation.T @ rotation - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0:
         raise UserError(place, expected="a rotation", found=rotation.round(4).tolist())

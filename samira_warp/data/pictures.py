@@ -13,8 +13,9 @@ SUFFIXES = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
 
 
 def key_of(name: str) -> str:
-    """A stem as pictures and parameters are matched by it: file systems spell accents in one or two
-    characters.
+    """A stem as pictures and parameters are matched by it.
+
+    File systems spell accents in one or two characters.
     """
     return unicodedata.normalize("NFC", name)
 

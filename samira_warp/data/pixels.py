@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from samira_warp.data.frames import FrameFiles
 from samira_warp.data.mattes import read_matte
@@ -31,9 +32,9 @@ class FramePixels:
         albedo: (H, W, 3) float32 sRGB-encoded values as stored, None where the frame has none.
     """
 
-    image: torch.Tensor
-    mask: torch.Tensor
-    albedo: torch.Tensor | None
+    image: Tensor
+    mask: Tensor
+    albedo: Tensor | None
 
     def to(self, device: torch.device | str) -> FramePixels:
         """The same pixels on ``device``."""
@@ -72,13 +73,13 @@ def load_pixels(frame: FrameFiles, *, width: int, height: int) -> FramePixels:
         mask = np.ones(colour.shape[:2], np.float32)
     albedo = None if frame.albedo_path is None else _straight(frame, read_on_white(frame.albedo_path))
 
-    def at_size(array: np.ndarray) -> torch.Tensor:
+    def at_size(array: np.ndarray) -> Tensor:
         return torch.from_numpy(np.ascontiguousarray(resize_box(array, width=width, height=height)))
 
     return FramePixels(at_size(colour), at_size(mask), None if albedo is None else at_size(albedo))
 
 
-def load_mask(frame: FrameFiles, *, width: int, height: int) -> torch.Tensor | None:
+def load_mask(frame: FrameFiles, *, width: int, height: int) -> Tensor | None:
     """(H, W) float32 coverage in 0..1, box-resized: the mask file, else the image's alpha channel, else None.
 
     Raises:

@@ -9,9 +9,9 @@ from samira_warp.data.formats import recognise
 from samira_warp.data.frames import Frame, FrameFiles, Listing, Sequence
 from samira_warp.data.index import FileIndex
 from samira_warp.data.split import parse_split
-from samira_warp.data.track import Reading
+from samira_warp.data.tracking import Reading
 from samira_warp.head.flame import read_head
-from samira_warp.head.model import FrameParameters
+from samira_warp.head.parameters import FrameParameters
 from samira_warp.head.template import HeadTemplate, read_template
 from samira_warp.support.errors import UserError
 from samira_warp.support.faults import all_of
@@ -48,7 +48,7 @@ def open_sequence(root: Path, *, split: str = "dataset", flame: Path | None = No
     (reading, index), (template, template_path) = all_of(
         lambda: _open(root, split), lambda: _template(root, flame)
     )
-    heads = reading.heads(template)
+    tracking = reading.tracking(template)
     index.save()
     listing = reading.listing
     return Sequence(
@@ -56,17 +56,17 @@ def open_sequence(root: Path, *, split: str = "dataset", flame: Path | None = No
         format=listing.format,
         split=listing.split,
         frames=tuple(
-            _with_parameters(frame, head)
-            for frame, head in zip(listing.frames, heads.parameters, strict=True)
+            _with_parameters(frame, tracking.parameters[row])
+            for frame, row in zip(listing.frames, tracking.rows, strict=True)
         ),
         train=listing.train,
         test=listing.test,
-        notes=(*listing.notes, *heads.notes),
+        notes=(*listing.notes, *tracking.notes),
         doubts=listing.doubts,
-        shape=heads.shape,
+        shape=tracking.shape,
         template=template,
         template_path=template_path,
-        canonical_static_offset=heads.static_offset,
+        static_offset=tracking.static_offset,
     )
 
 

@@ -8,7 +8,10 @@ from typing import Literal
 
 from samira_warp.support.errors import UserError
 
-GRAMMAR = "train or test (the dataset's own split), a fraction between 0 and 1 for the first share that trains, or last:N for N test frames"
+GRAMMAR = (
+    "train or test (the dataset's own split), a fraction between 0 and 1 for the first share that trains, "
+    "or last:N for N test frames"
+)
 
 
 @dataclass(frozen=True)
@@ -31,8 +34,9 @@ class Split:
 
 
 def parse_split(text: str) -> Split:
-    """Read a SPLIT: ``dataset``, ``train`` or ``test`` (all three the dataset's own), ``0.7``, or
-    ``last:350``.
+    """Read a SPLIT.
+
+    It is ``dataset``, ``train`` or ``test`` (all three the dataset's own), ``0.7``, or ``last:350``.
 
     Raises:
         UserError: ``text`` is none of these.

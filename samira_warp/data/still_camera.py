@@ -1,5 +1,6 @@
-"""A still head before a moving camera becomes a moving head before a still camera: light must not be glued to
-the head.
+"""A still head before a moving camera becomes a moving head before a still camera.
+
+Otherwise light would be glued to the head.
 """
 
 from __future__ import annotations
@@ -20,12 +21,12 @@ def hold_camera(
     shape: np.ndarray,
     expression: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Move the camera's motion into the head's: each head is seen by one camera that stands still as it was
-    by its own.
+    """Move the camera's motion into the head's.
 
-    With world-to-camera transforms E_t, and E_0 of the one that stands still, the head moves by H_t = E_0^-1
-    E_t. Its root turns by R about the joint j and is then moved by T, so that x' = H (R (x - j) + j + T) is
-    the turn H_R R about j, moved by H_R (j + T) + H_T - j.
+    Each head is then seen by one camera that stands still as it was by its own. With world-to-camera
+    transforms E_t, and E_0 of the one that stands still, the head moves by H_t = E_0^-1 E_t. Its root turns
+    by R about the joint j and is then moved by T, so that x' = H (R (x - j) + j + T) is the turn H_R R about
+    j, moved by H_R (j + T) + H_T - j.
 
     Args:
         rotation: (T, 3) axis-angle of the root joint.

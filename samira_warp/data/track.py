@@ -1,59 +1,34 @@
-"""What a tracker found in every frame of one camera's film, in metres and radians, whatever format it was
-written in.
-"""
+"""What a tracker found in every frame of one camera's film, whatever format it was written in."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import torch
+from torch import Tensor
 
-from samira_warp.data.frames import Listing
+from samira_warp.data.joints import rotations_on
 from samira_warp.data.still_camera import hold_camera
+from samira_warp.data.tracking import Tracking
 from samira_warp.head.flame import EYELIDS
-from samira_warp.head.model import FrameParameters
+from samira_warp.head.joints import ROOT
+from samira_warp.head.parameters import FrameParameters
 from samira_warp.head.template import HeadTemplate
 from samira_warp.support.errors import UserError
 from samira_warp.support.faults import all_of
 
 
-class Heads(NamedTuple):
-    """The tracked heads of a listing, as a template takes them."""
-
-    shape: torch.Tensor
-    """(n_shape,) float32 identity coefficients."""
-    parameters: tuple[FrameParameters, ...]
-    """One per frame of the listing."""
-    static_offset: torch.Tensor | None
-    """(V, 3) float32 metres, None where the dataset has none."""
-    notes: tuple[str, ...] = ()
-    """What a user should know, a sentence each."""
-
-
-class Reading(NamedTuple):
-    """A dataset that a format's reader has opened."""
-
-    listing: Listing
-    heads: Callable[[HeadTemplate], Heads]
-    """Reads the parameters of the listing's frames for a template."""
-
-
 @dataclass(frozen=True, eq=False)
 class Track:
-    """T frames in the order of their listing; float64.
+    """T frames in the order of their listing; float64, metres and radians.
 
     Attributes:
         path: Where it was read.
         shape: (S,) identity coefficients, S up to the template's.
         expression: (T, E) coefficients, E up to the template's.
-        rotation: (T, 3) axis-angle of the root joint.
-        neck: (T, 3) of the neck joint.
-        jaw: (T, 3) of the jaw joint.
-        eyes: (T, 6) of the eye joints.
+        poses: (T, 3) axis-angle of each tracked joint by its name; `ROOT` turns the whole head.
         translation: (T, 3) metres.
         world_to_camera: (T, 4, 4) as tracked, OpenCV axes, metres.
         eyelids: (T, 2) weights of metrical-tracker's left and right eyelid shapes, or None.
@@ -62,19 +37,21 @@ class Track:
     path: Path
     shape: np.ndarray
     expression: np.ndarray
-    rotation: np.ndarray
-    neck: np.ndarray
-    jaw: np.ndarray
-    eyes: np.ndarray
+    poses: dict[str, np.ndarray]
     translation: np.ndarray
     world_to_camera: np.ndarray
     eyelids: np.ndarray | None = None
 
     def taken(self, numbers: list[int]) -> Track:
         """Some of the frames, in an order of one's own."""
-        names = ("expression", "rotation", "neck", "jaw", "eyes", "translation", "world_to_camera", "eyelids")
-        rows = {name: getattr(self, name)[numbers] for name in names if getattr(self, name) is not None}
-        return replace(self, **rows)
+        return replace(
+            self,
+            expression=self.expression[numbers],
+            poses={name: pose[numbers] for name, pose in self.poses.items()},
+            translation=self.translation[numbers],
+            world_to_camera=self.world_to_camera[numbers],
+            eyelids=None if self.eyelids is None else self.eyelids[numbers],
+        )
 
 
 def fitted_shape(track: Track, template: HeadTemplate) -> np.ndarray:
@@ -106,8 +83,9 @@ def fitted_expression(track: Track, template: HeadTemplate) -> tuple[np.ndarray,
 
 
 def pad_coefficients(place: object, values: np.ndarray, count: int, template: HeadTemplate) -> np.ndarray:
-    """Values (..., n) with zeros up to ``count``: trackers use the first so many of FLAME's shapes, which
-    fall in importance.
+    """Values (..., n) with zeros up to ``count``.
+
+    Trackers use the first so many of FLAME's shapes, which fall in importance.
 
     Raises:
         UserError: There are more values than shapes, or fewer although each shape has a name and so a meaning
@@ -120,17 +98,19 @@ def pad_coefficients(place: object, values: np.ndarray, count: int, template: He
     return np.pad(values, [(0, 0)] * (values.ndim - 1) + [(0, count - found)])
 
 
-def heads_of(track: Track, template: HeadTemplate, camera: np.ndarray) -> Heads:
+def tracking_of(track: Track, template: HeadTemplate, camera: np.ndarray) -> Tracking:
     """A track's heads before a camera that stands still at ``camera``, a (4, 4) world-to-camera transform.
 
     Raises:
-        UserError: As in fitted_shape.
+        UserError: As in fitted_shape and rotations_on.
     """
-    shape, (expression, notes) = all_of(
-        lambda: fitted_shape(track, template), lambda: fitted_expression(track, template)
+    shape, (expression, notes), rotations = all_of(
+        lambda: fitted_shape(track, template),
+        lambda: fitted_expression(track, template),
+        lambda: rotations_on(template, track.poses, place=track.path),
     )
-    rotation, translation = hold_camera(
-        track.rotation,
+    rotations[:, 0], translation = hold_camera(
+        track.poses[ROOT],
         track.translation,
         track.world_to_camera,
         camera,
@@ -138,10 +118,14 @@ def heads_of(track: Track, template: HeadTemplate, camera: np.ndarray) -> Heads:
         shape=shape,
         expression=expression,
     )
-    rows = [
-        torch.from_numpy(np.ascontiguousarray(part, np.float32))
-        for part in (translation, rotation, track.neck, track.jaw, track.eyes)
-    ]
-    expressions = torch.from_numpy(np.ascontiguousarray(expression, np.float32))
-    parameters = tuple(FrameParameters(*values) for values in zip(*rows, expressions, strict=True))
-    return Heads(torch.from_numpy(shape.astype(np.float32)), parameters, None, notes)
+
+    def tensor(values: np.ndarray) -> Tensor:
+        return torch.from_numpy(np.ascontiguousarray(values, np.float32))
+
+    return Tracking(
+        shape=tensor(shape),
+        static_offset=None,
+        parameters=FrameParameters(tensor(translation), tensor(rotations), tensor(expression)),
+        rows=tuple(range(len(expression))),
+        notes=notes,
+    )

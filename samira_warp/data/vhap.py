@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from samira_warp.data.film import check_picture, check_shape
 from samira_warp.data.frames import FrameFiles, Listing, listing_of
@@ -102,9 +103,7 @@ class _Reader:
         return each(files, range(len(document["frames"])))
 
     def picture(self, path: Path) -> Path | None:
-        """The picture at a path, or else the one beside it whose name differs by its suffix or the spelling
-        of an accent.
-        """
+        """The picture at a path, or else the one beside it by another suffix or spelling of an accent."""
         if path.is_file():
             return path
         if path.parent not in self._folders:
@@ -161,8 +160,9 @@ class _Entry:
         )
 
     def camera(self) -> Camera:
-        """The pinhole camera; without fl_x the field of view gives the focal length, without cx the centre is
-        the frame's.
+        """The pinhole camera.
+
+        Without fl_x the field of view gives the focal length, without cx the centre is the frame's.
         """
         width, height = self._whole("w", above=0), self._whole("h", above=0)
         if "fl_x" in self.values:
@@ -177,10 +177,8 @@ class _Entry:
         cy = self._number("cy") if "cy" in self.values else 0.5 * height
         return Camera(self._world_to_camera(), fx=fx, fy=fy, cx=cx, cy=cy, width=width, height=height)
 
-    def _world_to_camera(self) -> torch.Tensor:
-        """(4, 4) float32: the file's OpenGL camera-to-world with y and z turned to OpenCV's axes, then
-        inverted.
-        """
+    def _world_to_camera(self) -> Tensor:
+        """(4, 4) float32: the inverse of the file's camera-to-world, OpenGL's axes turned to OpenCV's."""
         values = self._value("transform_matrix")
         try:
             camera_to_world = np.array(values if isinstance(values, list) else "none", dtype=np.float64)

@@ -7,13 +7,15 @@ from functools import partial
 from pathlib import Path
 
 import torch
+from torch import Tensor
 
 from samira_warp.data.frames import Listing
 from samira_warp.data.index import FileIndex
 from samira_warp.data.split import Split
-from samira_warp.data.track import Heads, Reading
+from samira_warp.data.tracking import Reading, Tracking
 from samira_warp.data.vhap import CANONICAL_FILE, list_vhap
-from samira_warp.data.vhap_parameters import TrackedHead, read_tracked_head
+from samira_warp.data.vhap_parameters import ParameterFile, read_parameter_file
+from samira_warp.head.parameters import FrameParameters
 from samira_warp.head.template import HeadTemplate
 from samira_warp.support.errors import UserError
 from samira_warp.support.faults import unless_at_fault
@@ -26,33 +28,48 @@ def open_vhap(root: Path, split: Split, index: FileIndex) -> Reading:
         UserError: As in list_vhap.
     """
     listing = list_vhap(root, split, index)
-    return Reading(listing, lambda template: _read_heads(listing, template, index))
+    return Reading(listing, lambda template: _read(listing, template, index))
 
 
-def _read_heads(listing: Listing, template: HeadTemplate, index: FileIndex) -> Heads:
-    canonical = read_tracked_head(listing.root / CANONICAL_FILE, template)
-    heads: dict[Path, TrackedHead] = {}
-    for frame in listing.frames:
-        path = frame.parameters_path
-        if path not in heads:
-            heads[path] = unless_at_fault(
-                partial(_read_head, path, template, canonical, index), otherwise=canonical
-            )
-    parameters = tuple(heads[frame.parameters_path].parameters for frame in listing.frames)
-    return Heads(canonical.shape, parameters, canonical.parameters.static_offset)
+def _read(listing: Listing, template: HeadTemplate, index: FileIndex) -> Tracking:
+    """One row a parameter file: views of one moment share it."""
+    canonical = read_parameter_file(listing.root / CANONICAL_FILE, template)
+    row_of = {path: row for row, path in enumerate(dict.fromkeys(f.parameters_path for f in listing.frames))}
+    frames = [
+        unless_at_fault(
+            partial(_read_frame, path, template, canonical, index), otherwise=canonical.parameters
+        )
+        for path in row_of
+    ]
+    return Tracking(
+        shape=canonical.shape,
+        static_offset=canonical.static_offset,
+        parameters=FrameParameters.stack(frames),
+        rows=tuple(row_of[frame.parameters_path] for frame in listing.frames),
+    )
 
 
-def _read_head(path: Path, template: HeadTemplate, canonical: TrackedHead, index: FileIndex) -> TrackedHead:
-    """A frame's head, with the canonical static offset's memory where it repeats it; identity must not change
-    within a sequence.
-    """
-    head = read_tracked_head(path, template, index)
+def _read_frame(
+    path: Path, template: HeadTemplate, canonical: ParameterFile, index: FileIndex
+) -> FrameParameters:
+    """A frame's parameters; identity must not change within a sequence."""
+    found = read_parameter_file(path, template, index)
     # coefficients are of order 1: the tolerance is what float32 text round trips lose
-    if not torch.equal(head.shape, canonical.shape) and not torch.allclose(
-        head.shape, canonical.shape, atol=1e-5
+    if not torch.equal(found.shape, canonical.shape) and not torch.allclose(
+        found.shape, canonical.shape, atol=1e-5
     ):
         raise UserError(f"{path}: shape", expected=f"the identity of {CANONICAL_FILE}", found="another")
-    offset, shared = head.parameters.static_offset, canonical.parameters.static_offset
-    if offset is not None and shared is not None and torch.equal(offset, shared):
-        return head._replace(parameters=replace(head.parameters, static_offset=shared))
-    return head
+    return replace(found.parameters, dynamic_offset=_offset_beyond(found, canonical.static_offset))
+
+
+def _offset_beyond(found: ParameterFile, subjects: Tensor | None) -> Tensor | None:
+    """(V, 3) metres of a frame's offsets that the subject's static one leaves, None where nothing is left.
+
+    A frame that does not repeat the subject's static offset has it all the same; one that brings another
+    keeps its head by moving the difference.
+    """
+    own, dynamic = found.static_offset, found.parameters.dynamic_offset
+    if own is None or (subjects is not None and torch.equal(own, subjects)):
+        return dynamic
+    beyond = own if subjects is None else own - subjects
+    return beyond if dynamic is None else beyond + dynamic

@@ -1,4 +1,9 @@
-"""The tracked FLAME parameters of a VHAP export, read and checked array by array."""
+"""The tracked parameters of a VHAP export, read and checked array by array.
+
+A file holds translation, rotation, neck_pose, jaw_pose, eyes_pose, expr, shape, and perhaps static_offset and
+dynamic_offset. Of the poses it needs those of the template's joints; joints that FLAME does not have are
+posed by ``pose_<joint>``.
+"""
 
 from __future__ import annotations
 
@@ -10,43 +15,48 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from samira_warp.data.index import FileIndex
+from samira_warp.data.joints import pose_keys, rotations_on
 from samira_warp.head.flame import FLAME_VERTICES
-from samira_warp.head.model import FrameParameters
+from samira_warp.head.parameters import FrameParameters
 from samira_warp.head.teeth import TEETH_VERTICES
 from samira_warp.head.template import HeadTemplate
 from samira_warp.support.errors import UserError
 from samira_warp.support.faults import all_of
 
 
-class TrackedHead(NamedTuple):
-    """Contents of one parameter file."""
+class ParameterFile(NamedTuple):
+    """Contents of one parameter file; float32."""
 
     parameters: FrameParameters
-    shape: torch.Tensor
-    """(n_shape,) float32 identity coefficients."""
+    """One frame's, without the static offset."""
+    shape: Tensor
+    """(n_shape,) identity coefficients."""
+    static_offset: Tensor | None
+    """(V, 3) metres, None where the file has none."""
 
 
-def read_tracked_head(path: Path, template: HeadTemplate, index: FileIndex | None = None) -> TrackedHead:
+def read_parameter_file(path: Path, template: HeadTemplate, index: FileIndex | None = None) -> ParameterFile:
     """Read ``flame_param/*.npz`` or ``canonical_flame_param.npz``.
 
     Args:
         path: The file.
-        template: The head model, which gives the numbers of vertices and coefficients.
+        template: The head, which gives the joints and the numbers of vertices and coefficients.
         index: Remembers what the file held.
 
     Raises:
-        UserError: The file or a key is missing, an array's shape does not fit the template, or a number is
-            not finite.
+        UserError: The file or a key is missing, an array's shape does not fit the template, a number is not
+            finite, or a joint turns that the template does not have.
     """
     arrays = load_parameters(path) if index is None else index.arrays(path, load_parameters)
     vertices = len(template.v_template)
 
-    def vector(key: str, *shape: int) -> torch.Tensor:
+    def vector(key: str, *shape: int) -> Tensor:
         return torch.from_numpy(checked(path, arrays, key, shape)).reshape(shape[-1])
 
-    def coefficients(key: str, *shape: int) -> torch.Tensor:
+    def coefficients(key: str, *shape: int) -> Tensor:
         """As many as the template's, or the first so many of a template whose shapes have no names."""
         found = arrays[key].shape[-1] if key in arrays and arrays[key].ndim else 0
         fewer = not template.names_expressions and 0 < found < shape[-1]
@@ -54,21 +64,40 @@ def read_tracked_head(path: Path, template: HeadTemplate, index: FileIndex | Non
             vector(key, *shape[:-1], found if fewer else shape[-1]), (0, shape[-1] - found if fewer else 0)
         )
 
-    translation, rotation, neck, jaw, eyes, expression, static_offset, dynamic_offset, shape = all_of(
+    def rotations() -> Tensor:
+        return torch.from_numpy(
+            rotations_on(template, read_poses(path, arrays, template, count=1), place=path)[0]
+        )
+
+    translation, joints, expression, static_offset, dynamic_offset, shape = all_of(
         partial(vector, "translation", 1, 3),
-        partial(vector, "rotation", 1, 3),
-        partial(vector, "neck_pose", 1, 3),
-        partial(vector, "jaw_pose", 1, 3),
-        partial(vector, "eyes_pose", 1, 6),
+        rotations,
         partial(coefficients, "expr", 1, template.n_expression),
         partial(_offset, path, arrays, "static_offset", vertices),
         partial(_offset, path, arrays, "dynamic_offset", vertices),
         partial(coefficients, "shape", template.n_shape),
     )
-    return TrackedHead(
-        FrameParameters(translation, rotation, neck, jaw, eyes, expression, static_offset, dynamic_offset),
-        shape,
+    return ParameterFile(
+        FrameParameters(translation, joints, expression, dynamic_offset), shape, static_offset
     )
+
+
+def read_poses(
+    path: Path, arrays: dict[str, np.ndarray], template: HeadTemplate, *, count: int
+) -> dict[str, np.ndarray]:
+    """(count, 3) float32 axis-angle by joint, of all that the template needs and all that is there.
+
+    Raises:
+        UserError: A key is missing, or an array has another shape or is not finite.
+    """
+    keys = pose_keys(arrays, template)
+    found = all_of(
+        *(partial(checked, path, arrays, key, (count, 3 * len(names))) for key, names in keys.items())
+    )
+    poses: dict[str, np.ndarray] = {}
+    for names, array in zip(keys.values(), found, strict=True):
+        poses |= dict(zip(names, np.split(array, len(names), axis=1), strict=True))
+    return poses
 
 
 def load_parameters(path: Path) -> dict[str, np.ndarray]:
@@ -121,7 +150,7 @@ def checked(path: Path, arrays: dict[str, np.ndarray], key: str, shape: tuple[in
     return array.astype(np.float32)
 
 
-def _offset(path: Path, arrays: dict[str, np.ndarray], key: str, vertices: int) -> torch.Tensor | None:
+def _offset(path: Path, arrays: dict[str, np.ndarray], key: str, vertices: int) -> Tensor | None:
     """(V, 3) metres, or None where the file has none."""
     return None if key not in arrays else torch.from_numpy(offsets(path, arrays, key, 1, vertices)[0])
 

@@ -1,6 +1,7 @@
 """VHAP's own result beside the pictures that it tracked, before the export.
 
-    tracked_flame_params_30.npz   the last epoch counts: shape, and T rows of expr, rotation, neck_pose, jaw_pose, eyes_pose, translation;
+    tracked_flame_params_30.npz   the last epoch counts: shape, and T rows of expr, translation, rotation,
+                                  neck_pose, jaw_pose, eyes_pose (other joints than FLAME's as pose_<joint>);
                                   timestep_id, focal_length (a share of the longer side), perhaps
                                   static_offset and dynamic_offset; its n_processed_frames is where tracking
                                   began, and says nothing
@@ -25,8 +26,9 @@ from samira_warp.data.index import FileIndex
 from samira_warp.data.numbers import numbers
 from samira_warp.data.pictures import files_of, first_folder, key_of, natural, pictures_of
 from samira_warp.data.split import Split
-from samira_warp.data.track import Heads, Reading, Track, heads_of
-from samira_warp.data.vhap_parameters import checked, load_parameters, offsets
+from samira_warp.data.track import Track, tracking_of
+from samira_warp.data.tracking import Reading, Tracking
+from samira_warp.data.vhap_parameters import checked, load_parameters, offsets, read_poses
 from samira_warp.head.template import HeadTemplate
 from samira_warp.support.errors import UserError
 from samira_warp.support.faults import all_of
@@ -35,7 +37,6 @@ TRACKED = "tracked_flame_params*.npz"
 """What marks the format."""
 
 _IMAGE_FOLDERS = ("images", "image")
-_SIZES = {"rotation": 3, "neck_pose": 3, "jaw_pose": 3, "eyes_pose": 6, "translation": 3}
 
 
 def open_vhap_tracked(root: Path, split: Split, index: FileIndex) -> Reading:
@@ -70,41 +71,45 @@ def open_vhap_tracked(root: Path, split: Split, index: FileIndex) -> Reading:
         intrinsics=intrinsics,
     )
     listed = list_film(film, split, index)
-    track = track.taken(listed.numbers)
 
-    def heads(template: HeadTemplate) -> Heads:
-        return _with_offsets(heads_of(track, template, listed.pose), path, arrays, template, listed.numbers)
+    def tracking(template: HeadTemplate) -> Tracking:
+        poses = read_poses(path, arrays, template, count=len(names))
+        posed = replace(track, poses={name: pose.astype(np.float64) for name, pose in poses.items()})
+        found = tracking_of(posed.taken(listed.numbers), template, listed.pose)
+        return _with_offsets(found, path, arrays, template, listed.numbers)
 
-    return Reading(listed.listing, heads)
+    return Reading(listed.listing, tracking)
 
 
 def _track(path: Path, arrays: dict[str, np.ndarray]) -> Track:
-    """All timesteps; the head is moved to the origin and the camera with it, as VHAP's export does."""
-    expression = arrays.get("expr", np.empty(0))
-    every = len(expression) if expression.ndim == 2 else 0
-    sizes = {"expr": expression.shape[-1] if expression.ndim else 0, **_SIZES}
-    read = all_of(*(partial(checked, path, arrays, key, (every, size)) for key, size in sizes.items()))
-    rows = {key: values.astype(np.float64) for key, values in zip(sizes, read, strict=True)}
-    centre = rows["translation"].mean(axis=0)
+    """All timesteps without their poses, which are the template's matter.
+
+    The head is moved to the origin and the camera with it, as VHAP's export does.
+    """
+    found = arrays.get("expr", np.empty(0))
+    every = len(found) if found.ndim == 2 else 0
+    expression, translation = (
+        values.astype(np.float64)
+        for values in all_of(
+            partial(checked, path, arrays, "expr", (every, found.shape[-1] if found.ndim else 0)),
+            partial(checked, path, arrays, "translation", (every, 3)),
+        )
+    )
+    centre = translation.mean(axis=0)
     pose = np.diag([1.0, -1.0, -1.0, 1.0])
     pose[:3, 3] = pose[:3, :3] @ (centre - [0.0, 0.0, 1.0])
     return Track(
         path=path,
         shape=numbers(f"{path}: shape", arrays.get("shape")),
-        expression=rows["expr"],
-        rotation=rows["rotation"],
-        neck=rows["neck_pose"],
-        jaw=rows["jaw_pose"],
-        eyes=rows["eyes_pose"],
-        translation=rows["translation"] - centre,
-        world_to_camera=np.tile(pose, (len(rows["expr"]), 1, 1)),
+        expression=expression,
+        poses={},
+        translation=translation - centre,
+        world_to_camera=np.tile(pose, (len(expression), 1, 1)),
     )
 
 
 def _names(root: Path, path: Path, arrays: dict[str, np.ndarray], count: int) -> list[str]:
-    """Stems of the pictures: the timesteps' own names, or the pictures in order where they are named
-    otherwise.
-    """
+    """Stems of the pictures: the timesteps' own names, or where they are others the pictures in order."""
     pictures = pictures_of(first_folder(root, _IMAGE_FOLDERS) or root / _IMAGE_FOLDERS[0])
     names = [str(name) for name in np.ravel(arrays["timestep_id"])] if "timestep_id" in arrays else []
     if len(names) == count and any(key_of(name) in pictures for name in names):
@@ -119,19 +124,16 @@ def _names(root: Path, path: Path, arrays: dict[str, np.ndarray], count: int) ->
 
 
 def _with_offsets(
-    heads: Heads, path: Path, arrays: dict[str, np.ndarray], template: HeadTemplate, rows: list[int]
-) -> Heads:
-    """The heads with their offsets, where VHAP found any; its camera stands still, so that they cannot move
-    it.
+    tracking: Tracking, path: Path, arrays: dict[str, np.ndarray], template: HeadTemplate, rows: list[int]
+) -> Tracking:
+    """The heads with their offsets, where VHAP found any.
+
+    Its camera stands still, so that they cannot move it.
     """
-    vertices = len(template.v_template)
-    static, parameters = None, heads.parameters
+    vertices, static, parameters = len(template.v_template), None, tracking.parameters
     if "static_offset" in arrays:
         static = torch.from_numpy(offsets(path, arrays, "static_offset", 1, vertices)[0])
-        parameters = tuple(replace(frame, static_offset=static) for frame in parameters)
     if "dynamic_offset" in arrays:
         dynamic = torch.from_numpy(offsets(path, arrays, "dynamic_offset", len(arrays["expr"]), vertices))
-        parameters = tuple(
-            replace(frame, dynamic_offset=dynamic[row]) for row, frame in zip(rows, parameters, strict=True)
-        )
-    return heads._replace(parameters=parameters, static_offset=static)
+        parameters = replace(parameters, dynamic_offset=dynamic[rows])
+    return replace(tracking, static_offset=static, parameters=parameters)

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from samira_warp.head.regions import REGIONS, response_coverage, route_faces
 from samira_warp.head.template import HeadTemplate
@@ -22,8 +24,9 @@ SOFTENING = 3
 
 @dataclass(frozen=True, eq=False)
 class UvAtlas:
-    """Per-texel facts of a head's UV layout; texel (row, column) has its centre at u = (column + 0.5) / W, v
-    = 1 - (row + 0.5) / H.
+    """Per-texel facts of a head's UV layout.
+
+    Texel (row, column) has its centre at u = (column + 0.5) / W, v = 1 - (row + 0.5) / H.
 
     Attributes:
         size: H = W, texels.
@@ -43,16 +46,16 @@ class UvAtlas:
     """
 
     size: int
-    face: torch.Tensor
-    barycentrics: torch.Tensor
-    covered: torch.Tensor
-    valid: torch.Tensor
-    region: torch.Tensor
-    soft_masks: torch.Tensor
+    face: Tensor
+    barycentrics: Tensor
+    covered: Tensor
+    valid: Tensor
+    region: Tensor
+    soft_masks: Tensor
     position_table: GatherTable
     dilation_table: GatherTable
-    vt: torch.Tensor
-    ft: torch.Tensor
+    vt: Tensor
+    ft: Tensor
 
     @classmethod
     def build(cls, template: HeadTemplate, *, size: int) -> UvAtlas:
@@ -90,26 +93,28 @@ class UvAtlas:
 
     def to(self, device: torch.device | str) -> UvAtlas:
         """The same atlas on ``device``."""
-        moved = {
+        moved: dict[str, Any] = {
             name: value.to(device)
             for name, value in vars(self).items()
-            if isinstance(value, torch.Tensor | GatherTable)
+            if isinstance(value, Tensor | GatherTable)
         }
         return replace(self, **moved)
 
-    def positions(self, vertices: torch.Tensor) -> torch.Tensor:
-        """(H, W, 3) position map P of (V, 3) float32 vertices (Eq. uv_displacement), differentiable; 0 where
-        not valid.
+    def positions(self, vertices: Tensor) -> Tensor:
+        """(H, W, 3) position map P of (V, 3) float32 vertices (Eq. uv_displacement); 0 where not valid.
+
+        Differentiable.
         """
         return gather(vertices, self.position_table).view(self.size, self.size, 3)
 
-    def dilate(self, uv_map: torch.Tensor) -> torch.Tensor:
-        """(H, W, C) float32 map with its covered texels carried 2 texels over chart borders, and 0 beyond;
-        differentiable.
+    def dilate(self, uv_map: Tensor) -> Tensor:
+        """(H, W, C) float32 map with its covered texels carried 2 texels over chart borders, 0 beyond.
+
+        Differentiable.
         """
         return gather(uv_map.flatten(0, 1), self.dilation_table).view(uv_map.shape)
 
-    def uv_of(self, faces: torch.Tensor, barycentrics: torch.Tensor) -> torch.Tensor:
+    def uv_of(self, faces: Tensor, barycentrics: Tensor) -> Tensor:
         """UV coordinates of points on the mesh: Alg. 1's BarycentricReweight.
 
         Args:
@@ -123,8 +128,9 @@ class UvAtlas:
 
 
 def _nearest_covered(covered: np.ndarray) -> np.ndarray:
-    """(H, W) flat index of the nearest covered texel within the dilation, the texel's own where it is
-    covered, -1 where there is none.
+    """(H, W) flat index of the nearest covered texel within the dilation, -1 where there is none.
+
+    A covered texel's nearest is itself.
     """
     height, width = covered.shape
     own = np.arange(height * width).reshape(height, width)
@@ -161,10 +167,8 @@ def _charts(template: HeadTemplate) -> np.ndarray:
         labels = joined
 
 
-def _soften(region: torch.Tensor, chart: torch.Tensor, responds: torch.Tensor) -> torch.Tensor:
-    """(K, H, W) shares of the regions within a cone of 3 texels about each texel, counting only its own
-    chart.
-    """
+def _soften(region: Tensor, chart: Tensor, responds: Tensor) -> Tensor:
+    """(K, H, W) shares of the regions in a cone of 3 texels about each texel, its own chart alone."""
     size = len(region)
     shares = torch.zeros(len(REGIONS), size, size)
     for row in range(-SOFTENING, SOFTENING + 1):

@@ -1,5 +1,6 @@
-"""FLAME 2020 and 2023 from the user's own file (Li et al., "Learning a model of facial shape and expression
-from 4D scans", 2017).
+"""FLAME 2020 and 2023 from the user's own file.
+
+Li et al., "Learning a model of facial shape and expression from 4D scans", 2017.
 """
 
 from __future__ import annotations
@@ -9,8 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from samira_warp.head.flame_companions import check_ids, checked_uvs, read_eyelids, read_masks, read_uvs
+from samira_warp.head.joints import FLAME_JOINTS
 from samira_warp.head.teeth import add_teeth
-from samira_warp.head.template import JOINTS, HeadTemplate, load_arrays, template_of
+from samira_warp.head.template import HeadTemplate, load_arrays, template_of
 from samira_warp.io.pickles import arrays_of, read_pickle
 from samira_warp.support.errors import UserError
 
@@ -93,11 +95,12 @@ def _completed(path: Path, values: object) -> HeadTemplate:
 
 def _check_layout(path: Path, arrays: dict[str, np.ndarray]) -> None:
     """Raise UserError unless the arrays that others are appended to have FLAME's shapes."""
+    joints = len(FLAME_JOINTS)
     shapes = {
         "v_template": (FLAME_VERTICES, 3),
-        "posedirs": (FLAME_VERTICES, 3, 9 * (JOINTS - 1)),
-        "J_regressor": (JOINTS, FLAME_VERTICES),
-        "weights": (FLAME_VERTICES, JOINTS),
+        "posedirs": (FLAME_VERTICES, 3, 9 * (joints - 1)),
+        "J_regressor": (joints, FLAME_VERTICES),
+        "weights": (FLAME_VERTICES, joints),
         "f": (FLAME_FACES, 3),
     }
     for key, shape in shapes.items():

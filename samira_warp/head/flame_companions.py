@@ -1,8 +1,7 @@
-"""What FLAME's own file lacks, found beside it: UV coordinates, regions, and the eyelid shapes of
-metrical-tracker.
+"""What FLAME's own file lacks, found beside it: UV coordinates, regions, metrical-tracker's eyelid shapes.
 
-UV coordinates   head_template_mesh.obj, head_template.obj, flame_uv.npz, FLAME_texture.npz, texture_data_{256,512,1024,2048}.npy:
-                 the first that is there and has them
+UV coordinates   head_template_mesh.obj, head_template.obj, flame_uv.npz, FLAME_texture.npz,
+                 texture_data_{256,512,1024,2048}.npy: the first that is there and has them
 regions          FLAME_masks.pkl
 eyelids          l_eyelid.npy and r_eyelid.npy, also in a folder blendshapes; they may be absent
 """
@@ -113,8 +112,9 @@ def read_masks(folder: Path, *, vertices: int) -> dict[str, np.ndarray]:
 
 
 def read_eyelids(folder: Path, *, vertices: int) -> np.ndarray | None:
-    """(V, 3, 2) metres that a weight of 1 moves the left and the right lids, None where the files are not
-    there.
+    """(V, 3, 2) metres that a weight of 1 moves the left and the right lids.
+
+    None where the files are not there.
 
     Raises:
         UserError: Only one of the two is there, or one has another shape.
@@ -149,9 +149,7 @@ def _read_eyelid(path: Path, vertices: int) -> np.ndarray:
 
 
 def _read_obj(path: Path) -> dict[str, np.ndarray]:
-    """Triangles of a Wavefront file and their UV coordinates, in the file's own order of vertices and
-    faces.
-    """
+    """Triangles of a Wavefront file and their UV coordinates, in the file's own order of both."""
     uvs: list[list[float]] = []
     corners: list[list[list[int]]] = []
     try:

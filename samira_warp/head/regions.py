@@ -27,9 +27,7 @@ listed."""
 
 
 def route_vertices(template: HeadTemplate) -> np.ndarray:
-    """(V,) int64 region of each vertex: the first by priority whose masks hold it, and cheeks for vertices in
-    no mask.
-    """
+    """(V,) int64 region of each vertex: the first by priority whose masks hold it, else cheeks."""
     regions = np.full(len(template.v_template), REGIONS.index("cheeks"))
     for name, masks in reversed(_MASKS_BY_PRIORITY.items()):
         for mask in masks:
@@ -38,8 +36,9 @@ def route_vertices(template: HeadTemplate) -> np.ndarray:
 
 
 def route_faces(template: HeadTemplate) -> np.ndarray:
-    """(F,) int64 region of each face: the one most of its vertices belong to, the first by priority where all
-    three differ.
+    """(F,) int64 region of each face: the one most of its vertices belong to.
+
+    Where all three differ, it is the first of theirs by priority.
     """
     rank_of = np.empty(len(REGIONS), dtype=np.int64)
     rank_of[[REGIONS.index(name) for name in _MASKS_BY_PRIORITY]] = np.arange(len(REGIONS))
@@ -49,8 +48,9 @@ def route_faces(template: HeadTemplate) -> np.ndarray:
 
 
 def response_coverage(template: HeadTemplate) -> np.ndarray:
-    """(F,) bool: whether most of a face's vertices are in some mask of a region; the others respond neutrally
-    to light.
+    """(F,) bool: whether most of a face's vertices are in some mask of a region.
+
+    The other faces respond neutrally to light.
     """
     in_mask = np.zeros(len(template.v_template), dtype=bool)
     for masks in _MASKS_BY_PRIORITY.values():

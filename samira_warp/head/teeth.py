@@ -1,10 +1,13 @@
-"""Teeth for FLAME, whose mouth is empty: the vertices that VHAP and GaussianAvatars append, so that their
-static offsets fit.
+"""Teeth for FLAME, whose mouth is empty.
+
+They are the vertices that VHAP and GaussianAvatars append, so that their static offsets fit.
 """
 
 from __future__ import annotations
 
 import numpy as np
+
+from samira_warp.head.joints import FLAME_JOINTS
 
 RING = 15
 """Vertices of each outer lip ring, from the head's left corner of the mouth to its right one."""
@@ -54,11 +57,11 @@ from the middle, how long a tooth is, how much further back the lower ones are, 
 
 
 def add_teeth(arrays: dict[str, np.ndarray], *, n_shape: int) -> dict[str, np.ndarray]:
-    """FLAME's arrays (`read_template`'s keys) with 120 vertices, 168 faces and their UVs appended, and masks
-    of the teeth.
+    """FLAME's arrays (`read_template`'s keys) with 120 vertices and 168 faces appended.
 
-    Teeth take the mean of the lips' identity shapes; they have no expression and no pose correctives, the
-    upper ones move with the neck joint and the lower ones with the jaw.
+    Their UVs and masks come with them. Teeth take the mean of the lips' identity shapes; they have no
+    expression and no pose correctives, the upper ones move with the neck joint and the lower ones with the
+    jaw.
     """
     vertices = arrays["v_template"]
     upper, lower = np.array(UPPER_LIP), np.array(LOWER_LIP)
@@ -70,7 +73,8 @@ def add_teeth(arrays: dict[str, np.ndarray], *, n_shape: int) -> dict[str, np.nd
         np.arange(TEETH_VERTICES) // RING, (UPPER_ROOT, UPPER_EDGE, UPPER_ROOT_BACK, UPPER_EDGE_BACK)
     )
     weights = np.zeros((TEETH_VERTICES, arrays["weights"].shape[1]))
-    weights[np.arange(TEETH_VERTICES), np.where(in_upper_jaw, 1, 2)] = 1.0
+    neck, jaw = FLAME_JOINTS.index("neck"), FLAME_JOINTS.index("jaw")
+    weights[np.arange(TEETH_VERTICES), np.where(in_upper_jaw, neck, jaw)] = 1.0
     faces = teeth_faces()
     ids = len(vertices) + np.arange(TEETH_VERTICES)
     return {
@@ -93,9 +97,7 @@ def add_teeth(arrays: dict[str, np.ndarray], *, n_shape: int) -> dict[str, np.nd
 
 
 def teeth_faces() -> np.ndarray:
-    """(168, 3) triangles of the teeth's own vertices, outward: the front, the back and the edge of each
-    jaw.
-    """
+    """(168, 3) triangles of the teeth's own vertices, outward: each jaw's front, back and edge."""
     strips = (
         (UPPER_EDGE, UPPER_ROOT),
         (UPPER_ROOT_BACK, UPPER_EDGE_BACK),
@@ -141,8 +143,9 @@ def _rows(upper_lip: np.ndarray, lower_lip: np.ndarray) -> np.ndarray:
 
 
 def _uvs() -> np.ndarray:
-    """(120, 2) UV coordinates, a row of the teeth a height; the strip's middle is left empty between the
-    jaws.
+    """(120, 2) UV coordinates, a row of the teeth a height.
+
+    The strip's middle is left empty between the jaws.
     """
     heights = np.empty(8)
     heights[list(_ROWS_IN_UV)] = np.linspace(*_FREE_V, 9)[[0, 1, 2, 3, 5, 6, 7, 8]]

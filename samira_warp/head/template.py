@@ -9,35 +9,37 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from samira_warp.head.joints import FLAME_JOINTS, ROOT, default_head_joint
 from samira_warp.support.errors import UserError
-
-JOINTS = 5
-"""FLAME's joints, in its order: root, neck, jaw, two eyes."""
 
 
 @dataclass(frozen=True, eq=False)
 class HeadTemplate:
-    """A head with FLAME's layout and any number of vertices and shapes; lengths in metres, +z out of the
-    face, +y up.
+    """A head in FLAME's layout with any number of vertices, shapes and joints.
+
+    Lengths are metres; +z points out of the face, +y up.
 
     Attributes:
         v_template: (V, 3) float32 mean head.
         shapedirs: (V, 3, S + E) float32 linear shapes: identity first, then expression.
         n_shape: S, how many of them are identity.
-        posedirs: (V, 3, 36) float32 correctives for the entries of the four non-root joints' rotations less
-            the identity.
-        joint_regressor: (5, V) float32 joint locations from vertices.
-        parents: (5,) int32 parent of each joint, -1 for the root.
-        weights: (V, 5) float32 skinning weights, each row summing to 1.
+        posedirs: (V, 3, 9 (J - 1)) float32 correctives for the entries of the rotations of all joints but the
+            root less the identity.
+        joint_regressor: (J, V) float32 joint locations from vertices.
+        parents: (J,) int32 parent of each joint, which precedes it, -1 for the first, the root.
+        weights: (V, J) float32 skinning weights, each row summing to 1.
         faces: (F, 3) int32 vertex ids.
         vt: (T, 2) float32 UV coordinates, u to the right and v up.
         ft: (F, 3) int32 ids of the faces' UV coordinates.
         masks: Vertex ids (int32) of each named region, as the file has them: they may overlap and leave
             vertices out.
         expression_names: E names.
+        joint_names: J names, all different; FLAME's are `FLAME_JOINTS`.
+        head_joint: Name of the joint that carries the head.
     """
 
     v_template: np.ndarray
@@ -52,6 +54,8 @@ class HeadTemplate:
     ft: np.ndarray
     masks: dict[str, np.ndarray]
     expression_names: tuple[str, ...]
+    joint_names: tuple[str, ...]
+    head_joint: str
 
     @property
     def n_expression(self) -> int:
@@ -78,8 +82,9 @@ def read_template(path: str | Path) -> HeadTemplate:
     """Read and check a template.
 
     The file holds v_template, shapedirs, n_shape, posedirs, J_regressor, kintree_table, weights, f, vt and ft
-    as `HeadTemplate` describes them, and optionally expression_names and any number of mask_<region>. Nothing
-    in it is unpickled.
+    as `HeadTemplate` describes them, and optionally expression_names, any number of mask_<region>,
+    joint_names and head_joint. Without joint_names the joints are FLAME's five; without head_joint the head
+    is carried by the joint "head", else "neck", else the root. Nothing in it is unpickled.
 
     Raises:
         UserError: The file is missing, is no npz, or a key is missing or has a wrong shape, an index out of
@@ -106,7 +111,9 @@ def template_of(path: Path, arrays: Mapping[str, np.ndarray]) -> HeadTemplate:
     reader.expect("v_template", vertices > 0, "at least one vertex", "none")
     shapedirs = reader.numbers("shapedirs", (vertices, 3, None))
     n_shape = int(reader.integers("n_shape", (), low=0, high=shapedirs.shape[2] + 1))
-    weights = reader.numbers("weights", (vertices, JOINTS))
+    joint_names = reader.joint_names()
+    joints = len(joint_names)
+    weights = reader.numbers("weights", (vertices, joints))
     reader.expect("weights", np.abs(weights.sum(axis=1) - 1).max() < 1e-3, "rows that sum to 1", "other sums")
     faces = reader.integers("f", (None, 3), low=0, high=vertices)
     reader.expect("f", len(faces) > 0, "at least one face", "none")
@@ -115,9 +122,9 @@ def template_of(path: Path, arrays: Mapping[str, np.ndarray]) -> HeadTemplate:
         v_template=v_template,
         shapedirs=shapedirs,
         n_shape=n_shape,
-        posedirs=reader.numbers("posedirs", (vertices, 3, 9 * (JOINTS - 1))),
-        joint_regressor=reader.numbers("J_regressor", (JOINTS, vertices)),
-        parents=reader.parents(),
+        posedirs=reader.numbers("posedirs", (vertices, 3, 9 * (joints - 1))),
+        joint_regressor=reader.numbers("J_regressor", (joints, vertices)),
+        parents=reader.parents(joints),
         weights=weights,
         faces=faces,
         vt=vt,
@@ -128,13 +135,16 @@ def template_of(path: Path, arrays: Mapping[str, np.ndarray]) -> HeadTemplate:
             if key.startswith("mask_")
         },
         expression_names=reader.names("expression_names", shapedirs.shape[2] - n_shape),
+        joint_names=joint_names,
+        head_joint=reader.head_joint(joint_names),
     )
 
 
 def save_template(template: HeadTemplate, path: str | Path) -> None:
     """Write a template in the layout that `read_template` reads, at exactly ``path``."""
     with Path(path).open("wb") as file:
-        np.savez_compressed(file, **_to_arrays(template))
+        arrays: dict[str, Any] = _to_arrays(template)
+        np.savez_compressed(file, **arrays)
 
 
 def _unnamed(index: int) -> str:
@@ -142,19 +152,29 @@ def _unnamed(index: int) -> str:
 
 
 def _to_arrays(template: HeadTemplate) -> dict[str, np.ndarray]:
+    """The file's content; what joints are called is left out where it is what a file without it means.
+
+    So FLAME's heads have the hashes that they had before joints had names.
+    """
+    names = {}
+    if template.joint_names != FLAME_JOINTS:
+        names["joint_names"] = np.asarray(template.joint_names, np.str_)
+    if template.head_joint != default_head_joint(template.joint_names):
+        names["head_joint"] = np.asarray(template.head_joint, np.str_)
     return {
         "v_template": template.v_template,
         "shapedirs": template.shapedirs,
         "n_shape": np.asarray(template.n_shape, np.int64),
         "posedirs": template.posedirs,
         "J_regressor": template.joint_regressor,
-        "kintree_table": np.stack([template.parents, np.arange(JOINTS, dtype=np.int32)]),
+        "kintree_table": np.stack([template.parents, np.arange(len(template.parents), dtype=np.int32)]),
         "weights": template.weights,
         "f": template.faces,
         "vt": template.vt,
         "ft": template.ft,
         "expression_names": np.asarray(template.expression_names, np.str_),
         **{f"mask_{name}": ids for name, ids in template.masks.items()},
+        **names,
     }
 
 
@@ -232,19 +252,44 @@ class _Reader:
             )
         return array.astype(np.int32)
 
-    def parents(self) -> np.ndarray:
+    def parents(self, joints: int) -> np.ndarray:
         """Row 0 of the kinematic tree; FLAME's files mark the root's parent by the largest uint32."""
-        table = self.take("kintree_table", (2, JOINTS))
+        table = self.take("kintree_table", (2, joints))
         self.expect("kintree_table", table.dtype.kind in "iu", "integers", f"{table.dtype}")
         parents = table[0].astype(np.int64)
         parents[0] = -1
-        precede = all(0 <= parents[joint] < joint for joint in range(1, JOINTS))
-        self.expect("kintree_table", precede, "parents that precede their joints", f"{parents.tolist()}")
+        precede = all(0 <= parents[joint] < joint for joint in range(1, joints))
+        wanted = "parents that precede their joints, after one root"
+        self.expect("kintree_table", precede, wanted, f"{parents.tolist()}")
         return parents.astype(np.int32)
 
     def names(self, key: str, count: int) -> tuple[str, ...]:
         if key not in self.arrays:
             return tuple(map(_unnamed, range(count)))
+        return self.text(key, count)
+
+    def joint_names(self) -> tuple[str, ...]:
+        """The template's own names for its joints, or FLAME's."""
+        if "joint_names" not in self.arrays:
+            joints = len(self.take("J_regressor", (None, None)))
+            known = joints == len(FLAME_JOINTS)
+            self.expect("joint_names", known, f"names of the {joints} joints of J_regressor", "no such key")
+            return FLAME_JOINTS
+        names = self.text("joint_names", None)
+        self.expect("joint_names", len(names) > 0 and all(names), "a name for each joint", f"{names}")
+        self.expect("joint_names", len(set(names)) == len(names), "names that differ", f"{names}")
+        self.expect("joint_names", ROOT not in names[1:], f"no {ROOT} but the first joint", f"{names}")
+        return names
+
+    def head_joint(self, joint_names: tuple[str, ...]) -> str:
+        """The joint that carries the head, by the template's own word or without one."""
+        if "head_joint" not in self.arrays:
+            return default_head_joint(joint_names)
+        name = str(self.take("head_joint", ()))
+        self.expect("head_joint", name in joint_names, f"one of {', '.join(joint_names)}", repr(name))
+        return name
+
+    def text(self, key: str, count: int | None) -> tuple[str, ...]:
         array = self.take(key, (count,))
-        self.expect(key, count == 0 or array.dtype.kind == "U", "text", f"{array.dtype}")
+        self.expect(key, array.size == 0 or array.dtype.kind == "U", "text", f"{array.dtype}")
         return tuple(str(name) for name in array)

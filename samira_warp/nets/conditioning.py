@@ -16,12 +16,12 @@ those reach farther."""
 
 
 class Conditions(NamedTuple):
-    """The head parameters of one frame, split as the paper splits them.
+    """The head parameters of one frame or a batch, split as the paper splits them.
 
     Attributes:
-        translation: (3,) c_tr.
-        expression: (E,) c_exp.
-        pose: (15,) c_pose: rotation, neck, jaw and both eyes, axis-angle radians.
+        translation: (..., 3) c_tr.
+        expression: (..., E) c_exp.
+        pose: (..., 3 J) c_pose: axis-angle radians of the rig's joints, one after the other.
     """
 
     translation: torch.Tensor
@@ -40,17 +40,16 @@ class ConditionStatistics(nn.Module):
             self.register_buffer(f"{name}_limit", torch.full((size,), CONDITION_LIMIT))
 
     @classmethod
-    def of(cls, conditions: list[Conditions]) -> ConditionStatistics:
-        """Measure the statistics of the training frames."""
-        statistics = cls(expression_size=len(conditions[0].expression), pose_size=len(conditions[0].pose))
-        for name in Conditions._fields:
-            stacked = torch.stack([getattr(condition, name) for condition in conditions])
-            deviation = stacked.std(dim=0, correction=0)
+    def of(cls, conditions: Conditions) -> ConditionStatistics:
+        """Measure the statistics of the training frames, a batch along one dimension."""
+        statistics = cls(expression_size=conditions.expression.shape[1], pose_size=conditions.pose.shape[1])
+        for name, values in zip(Conditions._fields, conditions, strict=True):
+            deviation = values.std(dim=0, correction=0)
             mean, scale = (
-                stacked.mean(dim=0),
+                values.mean(dim=0),
                 torch.where(deviation < STANDARD_DEVIATION_FLOOR, 0.0, 1.0 / deviation),
             )
-            extreme = ((stacked - mean) * scale).abs().amax(dim=0)
+            extreme = ((values - mean) * scale).abs().amax(dim=0)
             setattr(statistics, f"{name}_mean", mean)
             setattr(statistics, f"{name}_scale", scale)
             setattr(statistics, f"{name}_limit", extreme.clamp(min=CONDITION_LIMIT))

@@ -10,12 +10,11 @@ from pathlib import Path
 import torch
 
 from samira_warp.avatar import Avatar, CanonicalHead, DrivingFrame, read_frames
-from samira_warp.avatar.driving import Driver, ExpressionMap, PoseRange, match_expressions
-from samira_warp.avatar.storage import DESCRIPTION_FILE, TEMPLATE_FILE
+from samira_warp.avatar.driving import Driver, PoseRange, match_expressions, match_joints
+from samira_warp.avatar.storage import TEMPLATE_FILE, read_record
 from samira_warp.data import Sequence, open_sequence
 from samira_warp.geometry.camera import Camera
-from samira_warp.head import FrameParameters
-from samira_warp.io.files import read_json
+from samira_warp.head import FrameParameters, HeadTemplate
 from samira_warp.render.config import RenderConfig
 from samira_warp.stage.frames import parse_frames
 from samira_warp.support.errors import UserError
@@ -28,7 +27,11 @@ def select_frames(config: RenderConfig, avatar: Avatar, folder: Path) -> list[Dr
         UserError: There are none, or the sequence cannot drive the avatar.
     """
     wanted, own = parse_frames(config.frames), read_frames(folder)
-    driven = _own(config, own) if config.data is None else _driven(config, config.data, avatar, folder, own)
+    driven = (
+        _own(config, own, avatar.canonical.template)
+        if config.data is None
+        else _driven(config, config.data, avatar, folder, own)
+    )
     frames = list(driven)
     chosen = frames[wanted]
     if not chosen:
@@ -41,7 +44,7 @@ def select_frames(config: RenderConfig, avatar: Avatar, folder: Path) -> list[Dr
     return [frame._replace(camera=_at_size(frame.camera, longer)) for frame in chosen]
 
 
-def _own(config: RenderConfig, frames: list[DrivingFrame]) -> Iterator[DrivingFrame]:
+def _own(config: RenderConfig, frames: list[DrivingFrame], template: HeadTemplate) -> Iterator[DrivingFrame]:
     """The frames that are stored with the avatar."""
     part = config.split or "test"
     if part not in ("train", "test"):
@@ -52,9 +55,7 @@ def _own(config: RenderConfig, frames: list[DrivingFrame]) -> Iterator[DrivingFr
         raise UserError(
             "--neutral-frame", expected="--data DIR, the sequence that it is a frame of", found="none"
         )
-    driver = Driver(
-        ExpressionMap.identity(frames[0].parameters.expression.numel()), gain=config.expression_gain
-    )
+    driver = Driver.own(template, gain=config.expression_gain)
     return (
         frame._replace(parameters=driver.drive(frame.parameters)) for frame in frames if frame.part == part
     )
@@ -67,19 +68,28 @@ def _driven(
 
     The avatar's own person is not held to what was seen in training: test frames of its dataset go beyond.
     """
-    record = read_json(folder / DESCRIPTION_FILE)["record"]
+    record = read_record(folder)
     trained_on = record.get("subject") == data.resolve().name
     split = config.split or (record.get("split", "dataset") if trained_on else "dataset")
     sequence = open_sequence(data, split=split, flame=folder / TEMPLATE_FILE)
     expressions = match_expressions(
         sequence.template, avatar.canonical.template, source=sequence.template_path
     )
-    if expressions.left_out:
-        print(f"note: the avatar has no expressions {', '.join(expressions.left_out)}", file=sys.stderr)
+    joints = match_joints(sequence.template, avatar.canonical.template)
+    for kind, left_out in (("expressions", expressions.left_out), ("joints", joints.left_out)):
+        if left_out:
+            print(f"note: the avatar has no {kind} {', '.join(left_out)}", file=sys.stderr)
     same_person = _is_person(sequence, avatar.canonical)
     seen = [frame.parameters for frame in own if frame.part == "train"]
     held = PoseRange.of(seen) if config.clamp and seen and not same_person else None
-    driver = Driver(expressions, _neutral(config, sequence), config.expression_gain, held)
+    driver = Driver(
+        sequence.template,
+        expressions,
+        joints,
+        neutral=_neutral(config, sequence),
+        gain=config.expression_gain,
+        seen=held,
+    )
     for index in sequence.selected:
         frame = sequence.frames[index]
         parameters = frame.parameters if same_person else replace(frame.parameters, dynamic_offset=None)
@@ -92,7 +102,7 @@ def _is_person(sequence: Sequence, canonical: CanonicalHead) -> bool:
         sequence.shape, canonical.shape.cpu()
     ):
         return False
-    tracked, own = sequence.canonical_static_offset, canonical.static_offset
+    tracked, own = sequence.static_offset, canonical.static_offset
     if tracked is None or own is None:
         return tracked is own
     return torch.equal(tracked, own.cpu())

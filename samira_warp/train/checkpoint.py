@@ -12,6 +12,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file
 
 from samira_warp.avatar import Avatar
+from samira_warp.avatar.storage import POSE_PARTS, joined_poses
 from samira_warp.io.files import read_json, replace_folder, save_tensors
 from samira_warp.support.errors import UserError
 from samira_warp.train.density import DensityStatistics
@@ -88,6 +89,7 @@ def load_training(
     except (OSError, SafetensorError) as error:
         raise UserError(path / TRAINING_FILE, expected="the training state", found=error) from error
     try:
+        tensors = _with_joined_poses(tensors)
         tracked.load_state_dict(
             {
                 name.removeprefix("tracked."): value
@@ -123,6 +125,23 @@ def _training_tensors(state: TrainingState) -> dict[str, torch.Tensor]:
             for name, value in state.optimizer.state.get(parameter, {}).items():
                 tensors[f"adam.{group['name']}.{index}.{name}"] = value
     return tensors
+
+
+def _with_joined_poses(tensors: dict[str, torch.Tensor]) -> dict[str, torch.Tensor]:
+    """The training state of any version as today's: older ones kept FLAME's poses and their moments apart.
+
+    Raises:
+        KeyError: One of them is missing.
+    """
+    if "tracked.rotation" not in tensors:
+        return tensors
+    old = {f"tracked.{part}": f"adam.pose.{index}." for index, part in enumerate(POSE_PARTS)}
+    joined = {"tracked.rotations": joined_poses(*(tensors[name] for name in old))}
+    for moment in ("exp_avg", "exp_avg_sq"):
+        joined[f"adam.pose.0.{moment}"] = joined_poses(*(tensors[prefix + moment] for prefix in old.values()))
+    joined["adam.pose.0.step"] = tensors["adam.pose.0.step"]
+    kept = {name: value for name, value in tensors.items() if not name.startswith((*old, *old.values()))}
+    return {**kept, **joined}
 
 
 def _checkpoints(folder: Path) -> list[Path]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import torch
 
 from samira_warp.avatar import CanonicalHead, Gaussians, conditions_of, geometry_uv
-from samira_warp.avatar.canonical import neck_rotation
 from samira_warp.data import Frame, PixelCache, Sequence
 from samira_warp.geometry.mesh import face_areas, vertex_normals
 from samira_warp.head.unwrap import UnwrapView, unwrap
@@ -37,9 +36,7 @@ ALBEDO_VIEWS = 12
 
 def condition_statistics(sequence: Sequence) -> ConditionStatistics:
     """Statistics of the training frames' conditions; test frames are not looked at."""
-    return ConditionStatistics.of(
-        [conditions_of(sequence.frames[index].parameters) for index in sequence.train]
-    )
+    return ConditionStatistics.of(conditions_of(sequence.batch(sequence.train)))
 
 
 @torch.no_grad()
@@ -49,9 +46,8 @@ def choose_reference(sequence: Sequence, canonical: CanonicalHead, statistics: C
     def score(index: int) -> float:
         frame = sequence.frames[index]
         expression = statistics(conditions_of(frame.parameters)).expression
-        forward = neck_rotation(canonical.pose(frame.parameters)) @ canonical.vertices.new_tensor(
-            [0.0, 0.0, 1.0]
-        )
+        facing = canonical.pose(frame.parameters).head_transform[:3, :3]
+        forward = facing @ canonical.vertices.new_tensor([0.0, 0.0, 1.0])
         backwards = -frame.camera.world_to_camera[2, :3]
         angle = torch.rad2deg(torch.acos((forward @ backwards).clamp(-1.0, 1.0)))
         return float(expression.square().mean().sqrt() + angle / FRONTAL_DEGREES)

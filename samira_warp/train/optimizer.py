@@ -24,7 +24,7 @@ def make_optimizer(avatar: Avatar, tracked: TrackedParameters) -> torch.optim.Ad
     groups["network"] = list(avatar.motion.parameters())
     groups["light"] = list(avatar.light.parameters())
     groups["expression"] = [tracked.expression]
-    groups["pose"] = [tracked.rotation, tracked.neck, tracked.jaw, tracked.eyes]
+    groups["pose"] = [tracked.rotations]
     groups["translation"] = [tracked.translation]
     return torch.optim.Adam(
         [{"params": parameters, "name": name} for name, parameters in groups.items()],

@@ -129,7 +129,7 @@ def start(config: TrainConfig, sequence: Sequence, pixels: PixelCache, *, steps:
     canonical = CanonicalHead.build(
         sequence.template,
         shape=sequence.shape,
-        static_offset=sequence.canonical_static_offset,
+        static_offset=sequence.static_offset,
         uv_size=settings.uv_size,
     )
     statistics = condition_statistics(sequence)

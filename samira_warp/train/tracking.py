@@ -4,25 +4,33 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import torch
 from torch import nn
 
-from samira_warp.avatar.frames import FIELDS
 from samira_warp.head import FrameParameters
 
 
 class TrackedParameters(nn.Module):
-    """One learnable row a training frame and field, (T, ...), starting from the tracker's values; shape and
-    offsets stay.
+    """One learnable row a training frame, starting from the tracker's values; offsets stay as they were
+    tracked.
+
+    Attributes:
+        translation: (T, 3) metres.
+        rotations: (T, J, 3) axis-angle radians.
+        expression: (T, E).
     """
 
-    def __init__(self, frames: list[FrameParameters]) -> None:
+    def __init__(self, tracked: FrameParameters) -> None:
+        """Copy a batch of T frames."""
         super().__init__()
-        for name in FIELDS:
-            self.register_parameter(
-                name, nn.Parameter(torch.stack([getattr(frame, name) for frame in frames]))
-            )
+        self.translation = nn.Parameter(tracked.translation.clone())
+        self.rotations = nn.Parameter(tracked.rotations.clone())
+        self.expression = nn.Parameter(tracked.expression.clone())
 
     def frame(self, row: int, tracked: FrameParameters) -> FrameParameters:
-        """The fine-tuned parameters of training frame ``row``, with the offsets of ``tracked``."""
-        return replace(tracked, **{name: getattr(self, name)[row] for name in FIELDS})
+        """The fine-tuned parameters of training frame ``row``, with the dynamic offset of ``tracked``."""
+        return replace(
+            tracked,
+            translation=self.translation[row],
+            rotations=self.rotations[row],
+            expression=self.expression[row],
+        )

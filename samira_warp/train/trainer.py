@@ -51,9 +51,7 @@ class Trainer:
         self.weights: LossWeights = loss_weights(config)
         self.perceptual = perceptual
         self.device = torch.device(config.device)
-        self.tracked = TrackedParameters([sequence.frames[index].parameters for index in sequence.train]).to(
-            self.device
-        )
+        self.tracked = TrackedParameters(sequence.batch(sequence.train)).to(self.device)
         self.optimizer = make_optimizer(avatar, self.tracked)
         self.density = DensityStatistics(len(avatar.gaussians), self.device)
         self.step = 0

@@ -5,30 +5,28 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from subjects import small_template
+from data.rigs import SEVEN, with_seven_joints, without_a_jaw
+from data.tiny import tiny_template
+from subjects import pose_of, small_template
 
-from samira_warp.avatar.driving import Driver, ExpressionMap, PoseRange, match_expressions
-from samira_warp.head import FrameParameters
+from samira_warp.avatar.driving import Driver, NameMap, PoseRange, match_expressions, match_joints
+from samira_warp.head import FLAME_JOINTS, FrameParameters, read_template
 from samira_warp.support.errors import UserError
 
 NAMES = ("jawOpen", "browsUp", "smileLeft", "smileRight")
 
 
-def frame(
-    *,
-    translation=(0, 0, 0),
-    rotation=(0, 0, 0),
-    neck=(0, 0, 0),
-    jaw=(0, 0, 0),
-    eyes=(0,) * 6,
-    expression=(0, 0, 0, 0),
-):
-    return FrameParameters(
-        *(
-            torch.tensor(values, dtype=torch.float32)
-            for values in (translation, rotation, neck, jaw, eyes, expression)
-        )
-    )
+def frame(*, translation=(0, 0, 0), expression=(0, 0, 0, 0), joints=FLAME_JOINTS, **rotations):
+    """A frame with some joints turned, by name."""
+    assert set(rotations) <= set(joints)
+    poses = [rotations.get(name, (0, 0, 0)) for name in joints]
+    values = (translation, poses, expression)
+    return FrameParameters(*(torch.tensor(value, dtype=torch.float32) for value in values))
+
+
+def own(**options):
+    """A driver of the avatar's own template, whose expressions are four."""
+    return replace(Driver.own(small_template()), **options)
 
 
 def named(*names):
@@ -46,84 +44,94 @@ def numbers(tensor):
 
 
 def same(first, second):
-    fields = ("translation", "rotation", "neck", "jaw", "eyes", "expression")
+    fields = ("translation", "rotations", "expression")
     return all(torch.equal(getattr(first, name), getattr(second, name)) for name in fields)
 
 
 def test_a_zero_neutral_without_gain_changes_no_bit():
     driven = frame(
         translation=(0.1, 0.2, 0.3),
-        rotation=(0.1, -3.0, 0.2),
+        root=(0.1, -3.0, 0.2),
         jaw=(0.3, 0, 0),
         expression=(0.1, -0.7, 3.3, 0.01),
     )
-    assert same(Driver(ExpressionMap.identity(4)).drive(driven), driven)
+    assert same(own().drive(driven), driven)
 
 
 def test_expression_and_jaw_are_relative_to_the_drivers_neutral():
     neutral = frame(
         translation=(9, 9, 9),
-        rotation=(9, 9, 9),
+        root=(9, 9, 9),
         neck=(9, 9, 9),
         jaw=(0.25, 0, -0.5),
-        eyes=(9,) * 6,
+        left_eye=(9, 9, 9),
+        right_eye=(9, 9, 9),
         expression=(1, 0, -2, 0.5),
     )
     moved = frame(
         translation=(1, 2, 3),
-        rotation=(4, 5, 6),
+        root=(4, 5, 6),
         neck=(7, 8, 9),
         jaw=(0.5, 0.25, 0),
-        eyes=(1, 2, 3, 4, 5, 6),
+        left_eye=(1, 2, 3),
+        right_eye=(4, 5, 6),
         expression=(1.5, 1, -1, 0.5),
     )
-    driven = Driver(ExpressionMap.identity(4), neutral=neutral, gain=2.0).drive(moved)
+    driven = own(neutral=neutral, gain=2.0).drive(moved)
     # 2 * (moved - neutral); the gain is the expression's alone
     assert numbers(driven.expression) == [1.0, 2.0, 2.0, 0.0]
-    assert numbers(driven.jaw) == [0.25, 0.25, 0.5]
-    for name in ("translation", "rotation", "neck", "eyes"):
-        assert torch.equal(getattr(driven, name), getattr(moved, name)), name
+    assert numbers(pose_of(driven, "jaw")) == [0.25, 0.25, 0.5]
+    assert torch.equal(driven.translation, moved.translation)
+    for name in ("root", "neck", "left_eye", "right_eye"):
+        assert torch.equal(pose_of(driven, name), pose_of(moved, name)), name
 
 
 def test_the_neutral_frame_itself_has_the_avatars_neutral_face():
-    neutral = frame(rotation=(0.1, 0.2, 0.3), jaw=(0.05, 0.01, 0), expression=(0.3, -0.2, 0.1, 1.7))
-    driven = Driver(ExpressionMap.identity(4), neutral=neutral, gain=3.0).drive(neutral)
+    neutral = frame(root=(0.1, 0.2, 0.3), jaw=(0.05, 0.01, 0), expression=(0.3, -0.2, 0.1, 1.7))
+    driven = own(neutral=neutral, gain=3.0).drive(neutral)
     assert numbers(driven.expression) == [0.0] * 4
-    assert numbers(driven.jaw) == [0.0] * 3
-    assert torch.equal(driven.rotation, neutral.rotation)
+    assert numbers(pose_of(driven, "jaw")) == [0.0] * 3
+    assert torch.equal(pose_of(driven, "root"), pose_of(neutral, "root"))
 
 
-def test_the_drivers_offsets_do_not_change_whose_head_it_is():
+def test_a_frames_offset_is_a_movement():
+    """Who calls decides whether the heads are near enough for it."""
     offset = torch.ones(5, 3)
-    driven = Driver(ExpressionMap.identity(4)).drive(
-        replace(frame(), static_offset=offset, dynamic_offset=offset)
-    )
-    assert driven.static_offset is None
-    # an offset of a frame is a movement: who calls decides whether the heads are near enough for it
-    assert driven.dynamic_offset is offset
+    assert own().drive(replace(frame(), dynamic_offset=offset)).dynamic_offset is offset
+
+
+def test_a_batch_is_driven_as_its_frames():
+    frames = [frame(jaw=(0.1 * row, 0, 0), expression=(row, 1, 2, 3), root=(0, row, 0)) for row in range(3)]
+    driver = own(neutral=frames[1], gain=0.5, seen=PoseRange.of(frames[:2]))
+    together = driver.drive(FrameParameters.stack(frames))
+    assert all(same(together[row], driver.drive(alone)) for row, alone in enumerate(frames))
 
 
 def test_a_pose_is_held_to_each_numbers_own_range():
     seen = PoseRange.of(
         [
-            frame(translation=(5, 5, 5), rotation=(-0.5, 0, 0), jaw=(0, 0, 0), eyes=(0, 0, 0, 0, 0, -1)),
-            frame(rotation=(0.25, 0.75, 0), jaw=(0.5, 0, 0), eyes=(0, 0, 0, 0, 0, 1)),
-            frame(rotation=(0, 0.5, 0), neck=(0, 0, 0.125), expression=(9, 9, 9, 9)),
+            frame(translation=(5, 5, 5), root=(-0.5, 0, 0), jaw=(0, 0, 0), right_eye=(0, 0, -1)),
+            frame(root=(0.25, 0.75, 0), jaw=(0.5, 0, 0), right_eye=(0, 0, 1)),
+            frame(root=(0, 0.5, 0), neck=(0, 0, 0.125), expression=(9, 9, 9, 9)),
         ]
     )
     driven = frame(
         translation=(7, 7, 7),
-        rotation=(-1, 0.5, 0.1),
+        root=(-1, 0.5, 0.1),
         neck=(0.1, -0.1, 0.5),
         jaw=(0.75, -1, 0),
-        eyes=(1, 2, 3, 4, 5, -6),
+        left_eye=(1, 2, 3),
+        right_eye=(4, 5, -6),
         expression=(8, 8, 8, 8),
     )
-    held = Driver(ExpressionMap.identity(4), seen=seen).drive(driven)
-    assert numbers(held.rotation) == [-0.5, 0.5, 0.0]
-    assert numbers(held.neck) == [0.0, 0.0, 0.125]
-    assert numbers(held.jaw) == [0.5, 0.0, 0.0]
-    assert numbers(held.eyes) == [0.0] * 5 + [-1.0]
+    held = own(seen=seen).drive(driven)
+    assert numbers(held.rotations) == [
+        [-0.5, 0.5, 0.0],
+        [0.0, 0.0, 0.125],
+        [0.5, 0.0, 0.0],
+        [0.0, 0.0, 0.0],
+        [0.0, 0.0, -1.0],
+    ]
     # where the head is and what it says are no pose
     assert torch.equal(held.translation, driven.translation)
     assert torch.equal(held.expression, driven.expression)
@@ -131,13 +139,13 @@ def test_a_pose_is_held_to_each_numbers_own_range():
 
 def test_the_jaw_is_held_after_it_was_made_relative():
     seen = PoseRange.of([frame(), frame(jaw=(0.5, 0, 0))])
-    driver = Driver(ExpressionMap.identity(4), neutral=frame(jaw=(0.25, 0, 0)), seen=seen)
-    assert numbers(driver.drive(frame(jaw=(0.625, 0, 0))).jaw) == [0.375, 0.0, 0.0]
-    assert numbers(driver.drive(frame(jaw=(0.0, 0, 0))).jaw) == [0.0, 0.0, 0.0]
+    driver = own(neutral=frame(jaw=(0.25, 0, 0)), seen=seen)
+    assert numbers(pose_of(driver.drive(frame(jaw=(0.625, 0, 0))), "jaw")) == [0.375, 0.0, 0.0]
+    assert numbers(pose_of(driver.drive(frame(jaw=(0.0, 0, 0))), "jaw")) == [0.0, 0.0, 0.0]
 
 
 def test_poses_that_were_seen_are_left_alone():
-    frames = [frame(rotation=(0.1 * number, -0.2, 0.3), jaw=(0.01 * number, 0, 0)) for number in range(4)]
+    frames = [frame(root=(0.1 * number, -0.2, 0.3), jaw=(0.01 * number, 0, 0)) for number in range(4)]
     seen = PoseRange.of(frames)
     assert all(same(seen.hold(one), one) for one in frames)
 
@@ -160,9 +168,10 @@ def test_expressions_are_matched_by_name():
 
 
 def test_neutral_and_gain_are_the_drivers_before_names_are_matched():
-    matched = match_expressions(named("b", "a"), named("a", "new", "b"), source="other")
+    driver = named("b", "a")
+    matched = match_expressions(driver, named("a", "new", "b"), source="other")
     neutral = replace(frame(), expression=torch.tensor([1.0, -1.0]))
-    driven = Driver(matched, neutral=neutral, gain=0.5).drive(
+    driven = Driver(driver, matched, NameMap.identity(5), neutral=neutral, gain=0.5).drive(
         replace(frame(), expression=torch.tensor([3.0, 3.0]))
     )
     assert numbers(driven.expression) == [2.0, 0.0, 1.0]
@@ -213,3 +222,54 @@ def test_other_vertices_with_the_same_names_are_welcome():
     template = named(*NAMES)
     taller = replace(template, v_template=1.1 * template.v_template)
     assert match_expressions(taller, template, source="other").left_out == ()
+
+
+@pytest.fixture(scope="module")
+def seven(tmp_path_factory):
+    """A head of seven joints, the root of another name."""
+    path = tmp_path_factory.mktemp("rigs") / "seven.npz"
+    np.savez(path, **with_seven_joints(tiny_template()))
+    return read_template(path)
+
+
+def test_joints_are_matched_by_name_and_roots_by_being_roots(seven):
+    matched = match_joints(small_template(), seven)
+    carried = matched.carry(torch.arange(5.0)[:, None] + 1.0, dim=-2)[:, 0]
+    # base, neck, head, jaw, left_eye, right_eye, tongue
+    assert numbers(carried) == [1.0, 2.0, 0.0, 3.0, 4.0, 5.0, 0.0]
+    assert matched.left_out == ()
+    back = match_joints(seven, small_template())
+    assert numbers(back.carry(torch.arange(7.0))) == [0.0, 1.0, 3.0, 4.0, 5.0]
+    assert back.left_out == ("head", "tongue")
+    assert numbers(match_joints(seven, seven).source) == list(range(7))
+
+
+def test_another_rig_drives_by_name(seven):
+    driver = Driver(
+        seven,
+        match_expressions(seven, seven, source="other"),
+        match_joints(seven, small_template()),
+        neutral=frame(joints=SEVEN, jaw=(0.25, 0, 0), head=(9, 9, 9), tongue=(9, 9, 9)),
+        seen=PoseRange.of([frame(root=(-9, -9, -9)), frame(root=(9, 9, 9), jaw=(0.5, 0, 0))]),
+    )
+    driven = driver.drive(
+        frame(joints=SEVEN, base=(1, 2, 3), jaw=(0.5, 0.5, 0), left_eye=(1, 1, 1), tongue=(4, 4, 4))
+    )
+    # the jaw relative to the neutral one, then held to what was seen as the others are
+    assert numbers(driven.rotations) == [[1, 2, 3], [0] * 3, [0.25, 0, 0], [0] * 3, [0] * 3]
+
+
+def test_a_driver_without_a_jaw_has_nothing_to_take_from(tmp_path):
+    np.savez(tmp_path / "jawless.npz", **without_a_jaw(tiny_template()))
+    jawless = read_template(tmp_path / "jawless.npz")
+    joints = jawless.joint_names
+    driver = Driver(
+        jawless,
+        NameMap.identity(4),
+        match_joints(jawless, small_template()),
+        neutral=frame(joints=joints, neck=(9, 9, 9), expression=(1, 0, 0, 0)),
+    )
+    driven = driver.drive(frame(joints=joints, neck=(1, 0, 0), right_eye=(0, 1, 0)))
+    assert numbers(pose_of(driven, "neck")) == [1.0, 0.0, 0.0]
+    assert numbers(pose_of(driven, "jaw")) == [0.0] * 3
+    assert numbers(pose_of(driven, "right_eye")) == [0.0, 1.0, 0.0]

@@ -5,7 +5,9 @@ from dataclasses import replace
 
 import pytest
 import torch
-from subjects import SMALL_LIGHT, camera, parameters, small_avatar
+from subjects import SMALL_LIGHT, camera, parameters, pose_of, posed, small_avatar
+
+from samira_warp.head import FLAME_JOINTS
 
 STEP = 2e-3
 
@@ -42,19 +44,23 @@ def central_difference(function, value, direction, step):
     return (function(value + step * direction) - function(value - step * direction)) / (2 * step)
 
 
-@pytest.mark.parametrize("name", ["expression", "rotation", "neck", "jaw", "eyes", "translation"])
+@pytest.mark.parametrize("name", ["expression", *FLAME_JOINTS, "translation"])
 def test_motion_gradient_to_head_parameters(name, generator):
     avatar = small_avatar(perturb=0.3, light_sizes=SMALL_LIGHT)
     frame = parameters(4)
     loss = motion_loss(avatar, frame, generator)
-    value = getattr(frame, name)
+
+    def changed(value):
+        return posed(frame, **{name: value}) if name in FLAME_JOINTS else replace(frame, **{name: value})
+
+    value = pose_of(frame, name) if name in FLAME_JOINTS else getattr(frame, name)
     leaf = value.clone().requires_grad_()
-    loss(replace(frame, **{name: leaf})).backward()
+    loss(changed(leaf)).backward()
     direction = torch.nn.functional.normalize(torch.randn(value.shape, generator=generator), dim=0)
     with torch.no_grad():
 
         def along(shifted):
-            return loss(replace(frame, **{name: shifted}))
+            return loss(changed(shifted))
 
         step = SHORTER.get(name, STEP)
         halves = [float(central_difference(along, value, direction, size)) for size in (step, 2 * step)]

@@ -3,12 +3,12 @@ from dataclasses import replace
 import pytest
 import torch
 from scipy.spatial.transform import Rotation
-from subjects import camera, parameters, small_avatar, small_canonical
+from subjects import camera, parameters, posed, small_avatar, small_canonical
 
 from samira_warp.avatar import CanonicalHead, conditions_of, geometry_uv
 from samira_warp.avatar.avatar import DISPLACEMENT_UNIT
-from samira_warp.avatar.canonical import neck_rotation
 from samira_warp.geometry.mesh import face_areas
+from samira_warp.head import FrameParameters
 from samira_warp.kernels.mesh.triangle_frames import triangle_frames
 from samira_warp.reference.mesh.binding import bind as bind_in_torch
 from samira_warp.reference.mesh.triangle_frames import triangle_frames as frames_in_torch
@@ -20,15 +20,11 @@ def matrices(quaternions):
     )
 
 
-def turned(avatar, *, rotation=(0.4, -0.7, 0.2), neck=(0.1, 0.5, -0.2)):
+def turned(avatar, *, root=(0.4, -0.7, 0.2), neck=(0.1, 0.5, -0.2)):
     """Parameters that only move the head as a whole."""
-    rest = avatar.canonical.model.rest()
-    return replace(
-        rest,
-        rotation=rest.rotation.new_tensor(rotation),
-        neck=rest.neck.new_tensor(neck),
-        translation=rest.translation.new_tensor([0.02, -0.01, 0.03]),
-    )
+    rest = avatar.canonical.rig.rest()
+    moved = replace(rest, translation=rest.translation.new_tensor([0.02, -0.01, 0.03]))
+    return posed(moved, root=root, neck=neck)
 
 
 def test_step_zero_is_the_mesh_bound_avatar_to_the_bit(device):
@@ -95,7 +91,7 @@ def test_the_axes_of_the_residual(frame_of_residual, device):
     frame = turned(avatar)
     with torch.no_grad():
         moved, plain = avatar.move(frame).gaussians, bound.move(frame).gaussians
-        axes = neck_rotation(avatar.canonical.pose(frame)).double().cpu()
+        axes = avatar.canonical.pose(frame).head_transform[:3, :3].double().cpu()
     assert (axes - torch.eye(3, dtype=torch.float64)).abs().max() > 0.3
     if frame_of_residual == "world":
         axes = torch.eye(3, dtype=torch.float64)
@@ -139,13 +135,11 @@ def test_turning_the_neck_displaces_only_what_is_not_on_the_head(device):
 
 def test_expression_is_in_the_displacement_map(device):
     canonical = small_avatar(device=device).canonical
-    rest = canonical.model.rest()
+    rest = canonical.rig.rest()
     expression = rest.expression.clone()
     expression[0] = 1.0
     displacement = canonical.displacement(canonical.pose(replace(rest, expression=expression)), in_head=True)
-    expected = canonical.atlas.positions(
-        canonical.model.shapedirs[:, :, canonical.model.n_shape].contiguous()
-    )
+    expected = canonical.atlas.positions(canonical.rig.shapedirs[:, :, canonical.rig.n_shape].contiguous())
     torch.testing.assert_close(displacement, expected, atol=1e-7, rtol=0)
 
 
@@ -154,7 +148,7 @@ def test_displacement_frame_decides_what_the_network_sees(device):
     pose condition alone."""
     for name, moves in (("head", False), ("world", True)):
         avatar = small_avatar(perturb=0.5, displacement_frame=name, device=device)
-        rest = avatar.canonical.model.rest()
+        rest = avatar.canonical.rig.rest()
         avatar.statistics.translation_scale.zero_()  # the condition is out of the way: only D_uv is left
         moved = replace(rest, translation=rest.translation + 0.05)
         with torch.no_grad():
@@ -209,12 +203,22 @@ def test_driving_by_the_same_frame_twice_gives_the_same_bits_and_gradients(devic
     assert all(torch.equal(a, b) for a, b in zip(*gradients, strict=True))
 
 
-def test_the_static_offset_is_the_avatars_own():
+def test_the_static_offset_is_the_subjects_in_every_frame():
     canonical = small_canonical()
-    frame, offset = parameters(2), torch.full_like(canonical.vertices, 5e-3)
-    assert torch.equal(
-        canonical.pose(replace(frame, static_offset=offset)).vertices, canonical.pose(frame).vertices
-    )
+    offset = 5e-3 * torch.sin(40.0 * canonical.vertices)
     own = CanonicalHead.build(canonical.template, shape=canonical.shape, static_offset=offset, uv_size=8)
-    assert torch.equal(own.pose(frame).vertices, own.pose(replace(frame, static_offset=-offset)).vertices)
-    assert (own.pose(frame).vertices - canonical.pose(frame).vertices).norm(dim=1).mean() > 1e-3
+    torch.testing.assert_close(own.vertices, canonical.vertices + offset, atol=1e-8, rtol=0)
+    for seed in (2, 3):
+        frame = parameters(seed)
+        as_dynamic = canonical.pose(replace(frame, dynamic_offset=offset)).vertices
+        assert torch.equal(own.pose(frame).vertices, as_dynamic)
+        assert (own.pose(frame).vertices - canonical.pose(frame).vertices).norm(dim=1).mean() > 1e-3
+
+
+def test_conditions_are_the_joints_one_after_the_other():
+    frame = parameters(3)
+    conditions = conditions_of(frame)
+    assert torch.equal(conditions.pose, torch.cat([*frame.rotations]))
+    batch = conditions_of(FrameParameters.stack([frame, parameters(4)]))
+    assert batch.pose.shape == (2, 15)
+    assert all(torch.equal(values[0], alone) for values, alone in zip(batch, conditions, strict=True))

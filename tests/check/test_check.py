@@ -61,7 +61,7 @@ def test_what_a_dataset_holds(tiny_dataset, capsys):
         "static offset": "none",
         "identity": "coefficients from -0.10 to 0.10",
         "expression": "coefficients from -0.46 to 0.46, the largest is expression3 in 00002_00",
-        "turn": "rotation up to 25, neck up to 0, jaw up to 0 degrees",
+        "turn": "root up to 25 degrees",
         "distance": "0.96 to 0.98 metres from the camera",
         "masks": "6 of 6 frames",
         "albedo": "4 of 6 frames",

@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from data.layouts import FLIP, WRITERS, Film, write_layout
+from data.layouts import FLIP, WRITERS, Film, joint_rotations, write_layout
 
 from samira_subject.cast import build_cast
 from samira_subject.head import build_head
@@ -19,7 +19,7 @@ from samira_subject.performance import perform
 from samira_subject.raycaster import Effort
 from samira_subject.sky import CAPTURE
 from samira_subject.studio import Studio, developed, on_white
-from samira_warp.head import FrameParameters, HeadModel, save_template
+from samira_warp.head import FrameParameters, Rig, save_template
 from samira_warp.io.images import write_png
 
 SIZE = 64
@@ -73,8 +73,8 @@ def _bytes(pictures):
 
 def parameters_of(film, row):
     """A frame as the film has it, float64."""
-    names = ("translation", "rotation", "neck", "jaw", "eyes", "expression")
-    return FrameParameters(*(torch.from_numpy(getattr(film, name)[row]) for name in names))
+    values = (film.translation[row], joint_rotations(film, row), film.expression[row])
+    return FrameParameters(*map(torch.from_numpy, values))
 
 
 def for_layout(layout, film):
@@ -104,13 +104,10 @@ def _with_camera_at_one_metre(film):
 def _motions(film):
     """(T, 4, 4) by which each frame moves the head as a whole."""
     assert not film.neck.any()
-    model = HeadModel.build(build_head().template).to(dtype=torch.float64)
+    rig = Rig.build(build_head().template).to(dtype=torch.float64)
     shape = torch.from_numpy(film.shape)
     return np.stack(
-        [
-            model.vertices(parameters_of(film, row), shape).joint_transforms[0].numpy()
-            for row in range(len(film))
-        ]
+        [rig.pose(parameters_of(film, row), shape).joint_transforms[0].numpy() for row in range(len(film))]
     )
 
 

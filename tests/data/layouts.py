@@ -87,6 +87,11 @@ def make_film(
     )
 
 
+def joint_rotations(film, row):
+    """(5, 3) rotations of FLAME's joints in its order."""
+    return np.stack([film.rotation[row], film.neck[row], film.jaw[row], *np.split(film.eyes[row], 2)])
+
+
 def fixed_intrinsics(film, *, centred=False):
     """The film with the first frame's intrinsics in all frames, as the formats need that state them once."""
     film.focal[:] = film.focal[0]

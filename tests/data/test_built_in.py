@@ -13,7 +13,7 @@ from samira_warp.avatar import Avatar
 from samira_warp.check.report import check_dataset
 from samira_warp.data import load_pixels, open_sequence
 from samira_warp.geometry.camera import Camera
-from samira_warp.head import HeadModel
+from samira_warp.head import Rig
 
 
 @pytest.fixture(scope="module")
@@ -57,15 +57,15 @@ def project(vertices, camera):
 
 def test_vertices_project_where_the_film_has_them(anothers):
     film = built_in_film(1)
-    model = HeadModel.build(anothers.template).to(dtype=torch.float64)
+    rig = Rig.build(anothers.template).to(dtype=torch.float64)
     assert film.shape.any()
     assert [frame.name for frame in anothers.frames] == film.names
     for row, frame in enumerate(anothers.frames):
         expected = project(
-            model.vertices(parameters_of(film, row), torch.from_numpy(film.shape)).vertices, camera_of(film)
+            rig.pose(parameters_of(film, row), torch.from_numpy(film.shape)).vertices, camera_of(film)
         )
         found = project(
-            model.vertices(frame.parameters.to(dtype=torch.float64), anothers.shape.double()).vertices,
+            rig.pose(frame.parameters.to(dtype=torch.float64), anothers.shape.double()).vertices,
             frame.camera,
         )
         # 0.05 px in a picture of 512 pixels; float32 in the files is good to a thousandth of that

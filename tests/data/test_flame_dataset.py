@@ -8,7 +8,7 @@ from data.layouts import make_film_for, write_layout
 from subjects import train_arguments, train_command
 
 from samira_warp.data import open_sequence
-from samira_warp.head import HeadModel
+from samira_warp.head import Rig
 from samira_warp.head.flame import FLAME_IDENTITY, FLAME_VERTICES
 from samira_warp.head.teeth import TEETH_VERTICES
 
@@ -32,7 +32,7 @@ def test_a_static_offset_fits_with_and_without_teeth(tmp_path, flame, rows):
     film.static_offset = 1e-3 * np.random.default_rng(0).normal(size=(rows, 3))
     write_layout("VHAP export", film, tmp_path / "subject")
     sequence = open_sequence(tmp_path / "subject", flame=flame)
-    offset = sequence.canonical_static_offset
+    offset = sequence.static_offset
     assert offset.shape == (FLAME_VERTICES + TEETH_VERTICES, 3)
     np.testing.assert_allclose(offset[:rows].numpy(), film.static_offset, atol=1e-8)
     assert not offset[rows:].any()
@@ -52,13 +52,12 @@ def test_trackers_of_fewer_shapes_and_eyelids(tmp_path, flame):
     for row, frame in enumerate(sequence.frames):
         expected = np.concatenate([film.expression[row], np.zeros(50), film.eyelids[row]])
         np.testing.assert_allclose(frame.parameters.expression.numpy(), expected, atol=1e-6)
-    model = HeadModel.build(sequence.template)
+    rig = Rig.build(sequence.template)
     lids = sequence.template.shapedirs[:, :, -2:] @ film.eyelids[0]
-    closed = model.rest()
+    closed = rig.rest()
     closed.expression[-2:] = torch.from_numpy(film.eyelids[0])
     moved = (
-        model.vertices(closed, sequence.shape).vertices
-        - model.vertices(model.rest(), sequence.shape).vertices
+        rig.pose(closed, sequence.shape).vertices - rig.pose(rig.rest(), sequence.shape).vertices
     ).numpy()
     np.testing.assert_allclose(moved, lids, atol=1e-6)
 

@@ -126,8 +126,9 @@ def test_a_changed_file_is_read_again(tmp_path, reads, layout):
     os.utime(root / "images" / "00002.png")
     after = open_sequence(root)
     assert reads == ["00002.png"]
-    assert torch.equal(after.frames[2].parameters.rotation, before.frames[2].parameters.rotation + 1)
-    assert torch.equal(after.frames[3].parameters.rotation, before.frames[3].parameters.rotation)
+    turned = torch.tensor([1.0, 0.0, 0.0, 0.0, 0.0])[:, None]  # the root alone
+    assert torch.equal(after.frames[2].parameters.rotations, before.frames[2].parameters.rotations + turned)
+    assert torch.equal(after.frames[3].parameters.rotations, before.frames[3].parameters.rotations)
 
 
 def test_a_file_that_is_gone_is_missed(tmp_path):
@@ -300,11 +301,11 @@ def test_a_file_of_the_same_size_and_time_is_read_again(tmp_path, replaced):
     root = dataset("VHAP export", tmp_path / "subject")
     first = open_sequence(root).frames[0]
     path = first.parameters_path
-    status, rotation = path.stat(), first.parameters.rotation.clone()
+    status, rotation = path.stat(), first.parameters.rotations[0].clone()
     change_arrays(path, rotation=lambda array: array + np.float32(0.25))
     if replaced == "by another file":
         shutil.copy(path, tmp_path / "other.npz")
         (tmp_path / "other.npz").replace(path)
     os.utime(path, ns=(status.st_atime_ns, status.st_mtime_ns))
     assert (path.stat().st_size, path.stat().st_mtime_ns) == (status.st_size, status.st_mtime_ns)
-    torch.testing.assert_close(open_sequence(root).frames[0].parameters.rotation, rotation + 0.25)
+    torch.testing.assert_close(open_sequence(root).frames[0].parameters.rotations[0], rotation + 0.25)

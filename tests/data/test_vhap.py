@@ -3,16 +3,18 @@
 import json
 import math
 import shutil
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
 from data.damage import change_arrays, change_json
-from data.tiny import N_SHAPE, make_tiny_dataset
+from data.tiny import N_SHAPE, make_tiny_dataset, tiny_template
 
 from samira_warp.data import open_listing, open_sequence
-from samira_warp.data.vhap_parameters import read_tracked_head
+from samira_warp.data.vhap_parameters import read_parameter_file
+from samira_warp.head import FLAME_JOINTS, Rig
 from samira_warp.head.flame import FLAME_VERTICES
 from samira_warp.head.teeth import TEETH_VERTICES
 from samira_warp.support.errors import UserError
@@ -227,17 +229,17 @@ def test_parameters_are_those_of_the_file_that_the_list_names(dataset):
             ours = frame.parameters
             for key, values in (
                 ("translation", ours.translation),
-                ("rotation", ours.rotation),
-                ("neck_pose", ours.neck),
-                ("jaw_pose", ours.jaw),
-                ("eyes_pose", ours.eyes),
+                ("rotation", ours.rotations[0]),
+                ("neck_pose", ours.rotations[1]),
+                ("jaw_pose", ours.rotations[2]),
+                ("eyes_pose", ours.rotations[3:].flatten()),
                 ("expr", ours.expression),
             ):
                 assert values.dtype == torch.float32
                 np.testing.assert_array_equal(values.numpy(), arrays[key][0])
     assert sequence.shape.shape == (N_SHAPE,)
     np.testing.assert_allclose(sequence.shape.numpy(), [0.1, -0.1], rtol=1e-7)
-    assert sequence.canonical_static_offset is None
+    assert sequence.static_offset is None
 
 
 def test_float64_parameters_are_accepted(dataset):
@@ -245,20 +247,53 @@ def test_float64_parameters_are_accepted(dataset):
     assert open_sequence(dataset).frames[0].parameters.expression.dtype == torch.float32
 
 
-def test_a_repeated_static_offset_is_held_once(tmp_path):
-    sequence = open_sequence(make_tiny_dataset(tmp_path / "subject", frames=4, size=32, static_offset=True))
-    shared = sequence.canonical_static_offset
-    assert shared.shape == (len(sequence.template.v_template), 3)
-    assert all(frame.parameters.static_offset is shared for frame in sequence.frames)
-
-
-def test_a_frames_own_static_offset_is_its_own(tmp_path):
+def test_a_repeated_static_offset_is_the_subjects(tmp_path):
     root = make_tiny_dataset(tmp_path / "subject", frames=4, size=32, static_offset=True)
-    change_arrays(root / "flame_param" / "00001.npz", static_offset=lambda array: 2 * array)
+    change_arrays(root / "flame_param" / "00002.npz", static_offset=None)  # said of the subject is enough
     sequence = open_sequence(root)
-    torch.testing.assert_close(
-        sequence.frames[1].parameters.static_offset, 2 * sequence.canonical_static_offset
-    )
+    assert sequence.static_offset.shape == (len(sequence.template.v_template), 3)
+    assert all(frame.parameters.dynamic_offset is None for frame in sequence.frames)
+
+
+@pytest.mark.parametrize("has_dynamic", [True, False])
+@pytest.mark.parametrize("subject_has_one", [True, False])
+def test_a_frames_own_static_offset_moves_its_head(tmp_path, subject_has_one, has_dynamic):
+    """What differs from the subject's is the frame's: its vertices are where its tracker had them."""
+    root = make_tiny_dataset(tmp_path / "subject", frames=4, size=32, static_offset=True)
+    count = len(tiny_template()["v_template"])
+    own = 1e-3 * np.random.default_rng(0).normal(size=(1, count, 3)).astype(np.float32)
+    change_arrays(root / "flame_param" / "00001.npz", static_offset=own)
+    if has_dynamic:
+        change_arrays(root / "flame_param" / "00001.npz", dynamic_offset=own[:, ::-1].copy())
+    if not subject_has_one:
+        change_arrays(root / "canonical_flame_param.npz", static_offset=None)
+    sequence = open_sequence(root)
+    assert (sequence.static_offset is not None) is subject_has_one
+    rig, frame = Rig.build(sequence.template), sequence.frames[1]
+    found = rig.pose(frame.parameters, sequence.shape, sequence.static_offset).vertices
+    whole = torch.from_numpy(own[0] + (own[0, ::-1] if has_dynamic else 0))
+    expected = rig.pose(replace(frame.parameters, dynamic_offset=whole), sequence.shape).vertices
+    # offsets of 1e-4 to 4e-3 m subtracted and added again, on vertices of 0.1 m
+    torch.testing.assert_close(found, expected, atol=5e-8, rtol=0)
+
+
+def test_frames_of_one_moment_share_their_parameters(dataset):
+    change_every_entry(dataset, lambda entry: entry.update(flame_param_path="flame_param/00003.npz"))
+    offset = np.zeros((1, len(tiny_template()["v_template"]), 3), np.float32)
+    change_arrays(dataset / "flame_param" / "00003.npz", dynamic_offset=offset)
+    frames = [frame.parameters for frame in open_sequence(dataset).frames]
+    for name in ("rotations", "expression", "dynamic_offset"):
+        assert len({getattr(frame, name).data_ptr() for frame in frames}) == 1
+
+
+def test_a_sequence_gives_batches(dataset):
+    sequence = open_sequence(dataset)
+    batch = sequence.batch((4, 1))
+    assert batch.batch_shape == (2,)
+    for row, index in enumerate((4, 1)):
+        frame = sequence.frames[index].parameters
+        for name in ("translation", "rotations", "expression"):
+            assert torch.equal(getattr(batch[row], name), getattr(frame, name))
 
 
 def test_the_template_may_come_from_elsewhere(dataset, tmp_path):
@@ -269,19 +304,24 @@ def test_the_template_may_come_from_elsewhere(dataset, tmp_path):
 WITH_TEETH = FLAME_VERTICES + TEETH_VERTICES
 
 
+def stand_in(vertices):
+    """What of a template a parameter file is measured by."""
+    return SimpleNamespace(
+        v_template=np.zeros((vertices, 3)),
+        n_expression=4,
+        n_shape=2,
+        names_expressions=True,
+        joint_names=FLAME_JOINTS,
+    )
+
+
 @pytest.mark.parametrize("vertices", [FLAME_VERTICES, WITH_TEETH])
 @pytest.mark.parametrize("rows", [FLAME_VERTICES, WITH_TEETH])
 def test_flames_teeth_are_added_or_left_out(dataset, vertices, rows):
     path = dataset / "canonical_flame_param.npz"
     offset = np.random.default_rng(0).normal(size=(1, rows, 3)).astype(np.float32)
     change_arrays(path, static_offset=offset)
-    head = read_tracked_head(
-        path,
-        SimpleNamespace(
-            v_template=np.zeros((vertices, 3)), n_expression=4, n_shape=2, names_expressions=True
-        ),
-    )
-    ours = head.parameters.static_offset.numpy()
+    ours = read_parameter_file(path, stand_in(vertices)).static_offset.numpy()
     assert ours.shape == (vertices, 3)
     common = min(rows, vertices)
     np.testing.assert_array_equal(ours[:common], offset[0, :common])
@@ -293,12 +333,7 @@ def test_an_offset_of_any_other_count_is_refused(dataset, rows):
     path = dataset / "canonical_flame_param.npz"
     change_arrays(path, static_offset=np.zeros((1, rows, 3), np.float32))
     with pytest.raises(UserError, match=rf"static_offset: expected .*{FLAME_VERTICES}.* found .*{rows}"):
-        read_tracked_head(
-            path,
-            SimpleNamespace(
-                v_template=np.zeros((FLAME_VERTICES, 3)), n_expression=4, n_shape=2, names_expressions=True
-            ),
-        )
+        read_parameter_file(path, stand_in(FLAME_VERTICES))
 
 
 @pytest.mark.subject

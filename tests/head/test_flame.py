@@ -20,7 +20,7 @@ from data.flame_files import (
     write_flame,
 )
 
-from samira_warp.head import HeadModel, UvAtlas, read_template, save_template
+from samira_warp.head import Rig, UvAtlas, read_template, save_template
 from samira_warp.head.flame import EYELIDS, FLAME_FACES, FLAME_IDENTITY, FLAME_VERTICES, read_flame, read_head
 from samira_warp.head.flame_companions import UV_FILES, read_masks
 from samira_warp.head.regions import REGIONS, route_faces
@@ -187,8 +187,8 @@ def test_it_serves_as_any_template(flame, tmp_path):
     save_template(flame, tmp_path / "template.npz")
     assert read_template(tmp_path / "template.npz").hash == flame.hash
     assert read_head(tmp_path / "template.npz").hash == flame.hash
-    model = HeadModel.build(flame)
-    posed = model.vertices(model.rest(), torch.zeros(flame.n_shape))
+    rig = Rig.build(flame)
+    posed = rig.pose(rig.rest(), torch.zeros(flame.n_shape))
     np.testing.assert_allclose(posed.vertices.numpy(), flame.v_template, atol=1e-6)
     assert (route_faces(flame)[FLAME_FACES:] == REGIONS.index("mouth")).all()
     atlas = UvAtlas.build(flame, size=64)

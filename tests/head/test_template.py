@@ -2,8 +2,10 @@ import pickle
 
 import numpy as np
 import pytest
+from data.rigs import SEVEN, SEVEN_PARENTS, with_seven_joints
 from data.tiny import N_EXPRESSION, N_SHAPE, tiny_template
 
+from samira_warp.head import FLAME_JOINTS, HeadTemplate
 from samira_warp.head.template import read_template, save_template
 from samira_warp.support.errors import UserError
 
@@ -196,6 +198,120 @@ def test_a_kinematic_tree_that_is_none(arrays, read, parents):
     arrays["kintree_table"] = np.array([parents, range(5)])
     with pytest.raises(UserError, match="kintree_table: expected parents that precede"):
         read(arrays)
+
+
+def test_flames_joints_where_none_are_named(arrays, read):
+    template = read(arrays)
+    assert template.joint_names == FLAME_JOINTS == ("root", "neck", "jaw", "left_eye", "right_eye")
+    assert template.head_joint == "neck"
+
+
+def test_joints_of_any_number_and_name(arrays, read, tmp_path):
+    template = read(with_seven_joints(arrays))
+    assert template.joint_names == SEVEN
+    assert template.parents.tolist() == list(SEVEN_PARENTS)
+    assert template.posedirs.shape == (len(template.v_template), 3, 54)
+    save_template(template, tmp_path / "copy.npz")
+    copy = read_template(tmp_path / "copy.npz")
+    assert (copy.joint_names, copy.head_joint, copy.hash) == (SEVEN, "head", template.hash)
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ({}, "head"),  # of those that usually carry it the first
+        ({"head_joint": "neck"}, "neck"),
+        ({"head_joint": "base"}, "base"),
+        ({"joint_names": ("base", "neck", "skull", "jaw", "left_eye", "right_eye", "tongue")}, "neck"),
+        ({"joint_names": tuple("abcdefg")}, "a"),
+        ({"joint_names": tuple("abcdefg"), "head_joint": "c"}, "c"),
+    ],
+)
+def test_the_joint_that_carries_the_head(arrays, read, tmp_path, given, expected):
+    template = read(with_seven_joints(arrays) | {key: np.array(value) for key, value in given.items()})
+    assert template.head_joint == expected
+    save_template(template, tmp_path / "copy.npz")
+    assert read_template(tmp_path / "copy.npz").head_joint == expected
+
+
+def test_a_root_alone(arrays, read):
+    count = len(arrays["v_template"])
+    alone = {
+        "joint_names": np.array(["all"]),
+        "weights": np.ones((count, 1), np.float32),
+        "J_regressor": np.full((1, count), 1 / count, np.float32),
+        "posedirs": np.zeros((count, 3, 0), np.float32),
+        "kintree_table": np.array([[-1], [0]]),
+    }
+    template = read(arrays | alone)
+    assert (template.joint_names, template.head_joint) == (("all",), "all")
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"joint_names": None}, "joint_names: expected names of the 7 joints of J_regressor, found no such"),
+        ({"joint_names": SEVEN[:-1]}, "weights: expected shape"),
+        ({"joint_names": (*SEVEN[:-1], "jaw")}, "joint_names: expected names that differ"),
+        ({"joint_names": (*SEVEN[:-1], "")}, "joint_names: expected a name for each joint"),
+        ({"joint_names": (*SEVEN[:-1], "root")}, "joint_names: expected no root but the first joint"),
+        ({"joint_names": ()}, "joint_names: expected a name for each joint"),
+        ({"joint_names": range(7)}, "joint_names: expected text"),
+        ({"head_joint": "skull"}, "head_joint: expected one of base, neck, .*, found 'skull'"),
+        ({"head_joint": ("head", "neck")}, "head_joint: expected shape"),
+        ({"kintree_table": [(-1, 0, 1, 2, 2, -1, 3), range(7)]}, "kintree_table: .* after one root"),
+        ({"kintree_table": [(-1, 0, 1, 2, 2, 6, 3), range(7)]}, "kintree_table: expected parents that"),
+    ],
+)
+def test_joints_that_are_none(arrays, read, changes, message):
+    broken = with_seven_joints(arrays)
+    for key, value in changes.items():
+        if value is None:
+            del broken[key]
+        else:
+            broken[key] = np.array(value if isinstance(value, str) else list(value))
+    with pytest.raises(UserError, match=message):
+        read(broken)
+
+
+def test_names_that_a_file_would_have_had_anyway_change_no_hash(arrays, read, tmp_path):
+    """Avatars know their template by its hash: those of FLAME's joints keep theirs."""
+    plain = read(arrays)
+    said = read(arrays | {"joint_names": np.array(FLAME_JOINTS), "head_joint": np.array("neck")})
+    assert said.hash == plain.hash
+    for name, other in (("joint_names", (*FLAME_JOINTS[:-1], "other")), ("head_joint", "root")):
+        assert read(arrays | {name: np.array(other)}).hash != plain.hash
+    save_template(plain, tmp_path / "plain.npz")
+    with np.load(tmp_path / "plain.npz") as archive:
+        assert not {"joint_names", "head_joint"} & set(archive)
+
+
+def test_the_hash_is_the_one_that_it_always_was():
+    """Of a template without floating-point sums, so that every machine makes the same one."""
+    count = 4
+    template = HeadTemplate(
+        v_template=np.arange(12, dtype=np.float32).reshape(4, 3) / 8,
+        shapedirs=np.arange(24, dtype=np.float32).reshape(4, 3, 2) / 4,
+        n_shape=1,
+        posedirs=np.zeros((count, 3, 36), np.float32),
+        joint_regressor=np.full((5, count), 0.25, np.float32),
+        parents=np.array([-1, 0, 1, 1, 1], np.int32),
+        weights=np.eye(5, dtype=np.float32)[[0, 1, 2, 3]],
+        faces=np.array([[0, 1, 2], [1, 2, 3]], np.int32),
+        vt=np.array([[0, 0], [1, 0], [0, 1]], np.float32),
+        ft=np.array([[0, 1, 2], [0, 1, 2]], np.int32),
+        masks={"nose": np.array([1, 2], np.int32)},
+        expression_names=("smile",),
+        joint_names=FLAME_JOINTS,
+        head_joint="neck",
+    )
+    assert template.hash == "137ca12ae5843713e69b3048f6122b858eca1f85c0225ecb69e877e1ca0f0e49"
+
+
+@pytest.mark.subject
+def test_the_real_heads_hash_is_the_one_that_its_avatars_know(subject):
+    known = "3ddf4cd39cab5ec1652feb94df1e948cd841669d4676fdf3514e5298fd518959"
+    assert read_template(subject / "template.npz").hash == known
 
 
 def test_a_head_without_vertices(arrays, read):

@@ -5,24 +5,29 @@ from samira_warp.nets.conditioning import CONDITION_LIMIT, STANDARD_DEVIATION_FL
 
 
 def frames(generator, count=50):
-    """Translations that barely move, expressions of which one is constant, poses."""
+    """A batch of translations that barely move, expressions of which one is constant, poses."""
     constant = torch.tensor([0.0, 1.0, 1.0, 1.0])
-    return [
-        Conditions(
+    rows = [
+        (
             0.01 * torch.randn(3, generator=generator) + 2.0,
             torch.randn(4, generator=generator) * constant + 5.0,
             torch.randn(15, generator=generator),
         )
         for _ in range(count)
     ]
+    return Conditions(*(torch.stack(values) for values in zip(*rows, strict=True)))
+
+
+def row_of(conditions, row):
+    return Conditions(*(values[row] for values in conditions))
 
 
 def test_training_frames_get_mean_zero_and_deviation_one_and_none_is_clamped(generator):
     conditions = frames(generator)
     statistics = ConditionStatistics.of(conditions)
     for name in Conditions._fields:
-        stacked = torch.stack([getattr(statistics(condition), name) for condition in conditions])
-        raw = torch.stack([getattr(condition, name) for condition in conditions]).double()
+        stacked = getattr(statistics(conditions), name)
+        raw = getattr(conditions, name).double()
         expected = (raw - raw.mean(0)) / raw.std(0, correction=0).clamp(min=STANDARD_DEVIATION_FLOOR)
         # float32 differences of values about 2 with a deviation of 0.01: 2^-23 * 2 / 0.01 = 2e-5
         torch.testing.assert_close(stacked.double(), expected, atol=1e-4, rtol=0)
@@ -32,10 +37,8 @@ def test_training_frames_get_mean_zero_and_deviation_one_and_none_is_clamped(gen
 
 def test_what_is_constant_or_varies_below_the_floor_becomes_zero(generator):
     below = 0.5 * STANDARD_DEVIATION_FLOOR
-    conditions = [
-        Conditions(torch.tensor([0.0, sign * below, sign]), torch.zeros(2), torch.zeros(15))
-        for sign in (-1.0, 1.0)
-    ]
+    translations = torch.tensor([[0.0, sign * below, sign] for sign in (-1.0, 1.0)])
+    conditions = Conditions(translations, torch.zeros(2, 2), torch.zeros(2, 15))
     statistics = ConditionStatistics.of(conditions)
     driven = statistics(
         Conditions(torch.tensor([9.0, 9.0, 0.5]), torch.full((2,), 9.0), torch.full((15,), -9.0))
@@ -54,7 +57,7 @@ def test_other_sequences_are_held_to_three_deviations_or_to_the_training_frames_
     assert CONDITION_LIMIT == 3.0
     assert driven.expression[0] == 0.0
     for name, sign in (("translation", 1.0), ("expression", -1.0), ("pose", 1.0)):
-        seen = torch.stack([getattr(statistics(condition), name) for condition in conditions]).abs().amax(0)
+        seen = getattr(statistics(conditions), name).abs().amax(0)
         limit = torch.where(seen > 0, seen.clamp(min=CONDITION_LIMIT), 0.0)
         torch.testing.assert_close(getattr(driven, name), sign * limit)
 
@@ -63,8 +66,17 @@ def test_statistics_are_part_of_the_state(generator):
     statistics = ConditionStatistics.of(frames(generator))
     other = ConditionStatistics(expression_size=4, pose_size=15)
     other.load_state_dict(statistics.state_dict())
-    condition = frames(generator, 1)[0]
+    condition = row_of(frames(generator, 1), 0)
     assert all(torch.equal(a, b) for a, b in zip(statistics(condition), other(condition), strict=True))
+
+
+def test_frames_are_standardised_one_by_one_or_together(generator):
+    conditions = frames(generator)
+    statistics = ConditionStatistics.of(conditions)
+    together = statistics(conditions)
+    for row in (0, 7, 49):
+        alone = statistics(row_of(conditions, row))
+        assert all(torch.equal(a, b[row]) for a, b in zip(alone, together, strict=True))
 
 
 def test_adain_gives_each_channel_the_mean_and_deviation_that_the_condition_asks_for(device, generator):

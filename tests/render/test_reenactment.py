@@ -10,8 +10,9 @@ import pytest
 import torch
 from data.built_in import built_in_film, write_built_in
 from data.damage import change_arrays
-from data.tiny import N_EXPRESSION
-from subjects import render_command
+from data.rigs import OTHERS, with_seven_joints
+from data.tiny import N_EXPRESSION, tiny_template
+from subjects import pose_of, posed, render_command
 
 from samira_warp.avatar import Avatar, read_frames
 from samira_warp.data import open_sequence
@@ -105,17 +106,14 @@ def test_pose_is_held_to_the_training_frames(built_in_run, other):
     free = driven_by(other, built_in_run, clamp=False)
     held = driven_by(other, built_in_run)
     for kept, loose in zip(held, free, strict=True):
-        for name in ("rotation", "neck", "jaw", "eyes"):
-            values = torch.stack([getattr(parameters, name) for parameters in seen])
-            expected = torch.minimum(
-                torch.maximum(getattr(loose.parameters, name), values.amin(0)), values.amax(0)
-            )
-            assert torch.equal(getattr(kept.parameters, name), expected), name
+        values = torch.stack([parameters.rotations for parameters in seen])
+        expected = torch.minimum(torch.maximum(loose.parameters.rotations, values.amin(0)), values.amax(0))
+        assert torch.equal(kept.parameters.rotations, expected)
         assert torch.equal(kept.parameters.expression, loose.parameters.expression)
         assert torch.equal(kept.parameters.translation, loose.parameters.translation)
-    for name in ("rotation", "jaw"):
+    for name in ("root", "jaw"):
         assert any(
-            not torch.equal(getattr(kept.parameters, name), getattr(loose.parameters, name))
+            not torch.equal(pose_of(kept.parameters, name), pose_of(loose.parameters, name))
             for kept, loose in zip(held, free, strict=True)
         )
 
@@ -129,13 +127,14 @@ def test_the_neutral_frame_is_counted_over_the_whole_sequence(built_in_run, othe
         assert torch.equal(
             after.parameters.expression, 2.0 * (before.parameters.expression - neutral.expression)
         )
-        assert torch.equal(after.parameters.jaw, before.parameters.jaw - neutral.jaw)
+        jaw = pose_of(before.parameters, "jaw") - pose_of(neutral, "jaw")
+        assert torch.equal(after.parameters.rotations, posed(before.parameters, jaw=jaw).rotations)
 
 
 def test_the_avatars_own_person_is_not_held(built_in_run, built_in_datasets):
     tracked = open_sequence(built_in_datasets["VHAP export"])
     for driven, index in zip(driven_by(tracked.root, built_in_run), tracked.test, strict=True):
-        for name in ("rotation", "jaw", "expression"):
+        for name in ("rotations", "expression"):
             assert torch.equal(
                 getattr(driven.parameters, name), getattr(tracked.frames[index].parameters, name)
             )
@@ -194,6 +193,28 @@ def test_what_names_do_not_carry_over_is_said(tiny_run, tiny_dataset, tmp_path, 
         )
     assert render_command("--avatar", avatar, "--data", driver, "--out", tmp_path / "out") == 0
     assert "note: the avatar has no expressions puff" in capsys.readouterr().err
+
+
+def test_another_rig_drives_by_the_names_of_its_joints(tiny_run, tiny_dataset, tmp_path, capsys):
+    """Seven joints drive five: what the avatar has no joint for is left out, and said."""
+    avatar = renamed_avatar(tiny_run, tmp_path / "avatar", NAMES)
+    driver = shutil.copytree(tiny_dataset, tmp_path / "driver")
+    template = with_seven_joints(tiny_template()) | {"expression_names": NAMES}
+    np.savez(driver / "template.npz", **template)
+    for row, path in enumerate([*driver.glob("flame_param/*.npz"), driver / "canonical_flame_param.npz"]):
+        poses = {f"pose_{name}": np.full((1, 3), 0.1, np.float32) for name in OTHERS}
+        change_arrays(path, **poses, jaw_pose=np.full((1, 3), 0.01 * row, np.float32))
+    options = ("--avatar", avatar, "--data", driver, "--no-clamp")
+    assert render_command(*options, "--out", tmp_path / "out") == 0
+    assert "note: the avatar has no joints head, tongue" in capsys.readouterr().err
+    config = RenderConfig(avatar, tmp_path, data=driver, clamp=False)
+    for driven, tracked in zip(
+        select_frames(config, Avatar.load(avatar), avatar), open_sequence(driver).frames[4:], strict=True
+    ):
+        # base, neck, head, jaw, left_eye, right_eye, tongue
+        expected = tracked.parameters.rotations[[0, 1, 3, 4, 5]]
+        assert torch.equal(driven.parameters.rotations, expected)
+        assert expected[2].any()
 
 
 def refusal(capsys, *arguments):

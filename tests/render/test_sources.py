@@ -44,7 +44,7 @@ def test_a_static_offset_is_there_with_and_without_the_dataset(with_offset, tmp_
     own = pictures(tmp_path / "own")
     assert set(own) == {"00004_00", "00005_00"}
     assert own == pictures(tmp_path / "data")
-    assert all(frame.parameters.static_offset is None for frame in read_frames(trained))
+    assert all(frame.parameters.dynamic_offset is None for frame in read_frames(trained))
 
 
 def test_a_static_offset_was_there_when_the_run_was_scored(with_offset, tmp_path, capsys):

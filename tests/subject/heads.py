@@ -8,7 +8,7 @@ import torch
 from samira_subject.anatomy.assembly import PARTS
 from samira_subject.anatomy.mouth import LINE
 from samira_subject.head import ORIGIN, build_head
-from samira_warp.head import HeadModel
+from samira_warp.head import FLAME_JOINTS, Rig
 
 MOUTH = (np.arange(-22.0, 22.1, 0.83), np.arange(LINE - 14.0, LINE + 14.0, 0.71))
 FACE = (np.arange(-62.0, 62.0, 1.3), np.arange(-112.0, 62.0, 1.4))
@@ -17,7 +17,7 @@ FACE = (np.arange(-62.0, 62.0, 1.3), np.arange(-112.0, 62.0, 1.4))
 
 @functools.cache
 def model():
-    return HeadModel.build(build_head().template).to(dtype=torch.float64)
+    return Rig.build(build_head().template).to(dtype=torch.float64)
 
 
 def anatomy():
@@ -29,14 +29,14 @@ def pose(*, identity=None, jaw=0.0, eyes=(0.0,) * 6, **expressions):
     rest = model().rest()
     for name, weight in expressions.items():
         rest.expression[build_head().template.expression_names.index(name)] = weight
-    rest.jaw[0] = jaw
-    rest.eyes[:] = torch.tensor(eyes)
+    rest.rotations[FLAME_JOINTS.index("jaw"), 0] = jaw
+    rest.rotations[FLAME_JOINTS.index("left_eye") :] = torch.tensor(eyes).view(2, 3)
     shape = (
         torch.zeros(model().n_shape, dtype=torch.float64)
         if identity is None
         else torch.as_tensor(identity, dtype=torch.float64)
     )
-    return 1000.0 * model().vertices(rest, shape).vertices.numpy() - ORIGIN
+    return 1000.0 * model().pose(rest, shape).vertices.numpy() - ORIGIN
 
 
 def expression(name):

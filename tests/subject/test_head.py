@@ -14,7 +14,7 @@ from samira_subject.anatomy.assembly import PARTS
 from samira_subject.anatomy.eyes import EYE, EYE_RADIUS
 from samira_subject.anatomy.skinning import JOINTS
 from samira_subject.head import ORIGIN, build_head
-from samira_warp.head import HeadModel, read_template, save_template
+from samira_warp.head import Rig, read_template, save_template
 from samira_warp.head.regions import REGIONS, route_faces, route_vertices
 
 FLAME_MASKS = {
@@ -201,8 +201,8 @@ def test_weights_are_shares(template):
 
 
 def test_without_parameters_it_is_the_template(template):
-    single = HeadModel.build(template)
-    vertices = single.vertices(single.rest(), torch.zeros(template.n_shape)).vertices.numpy()
+    single = Rig.build(template)
+    vertices = single.pose(single.rest(), torch.zeros(template.n_shape)).vertices.numpy()
     # three float32 roundings of numbers up to 0.25 m
     np.testing.assert_allclose(vertices, template.v_template, atol=3 * 0.25 * 2**-24 * 2)
 

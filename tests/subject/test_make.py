@@ -20,7 +20,7 @@ from samira_subject.performance import perform
 from samira_subject.sky import CAPTURE, SKIES
 from samira_subject.studio import threads
 from samira_warp.data import open_sequence
-from samira_warp.head import HeadModel
+from samira_warp.head import Rig
 from samira_warp.io.files import read_json
 from samira_warp.io.images import image_size, read_image
 from samira_warp.light import Environment
@@ -96,9 +96,9 @@ def test_pictures_stand_on_white_and_normals_are_unit_vectors(dataset):
 
 def test_the_tracked_mesh_lies_on_the_masks(dataset):
     sequence = open_sequence(dataset)
-    model = HeadModel.build(sequence.template)
+    rig = Rig.build(sequence.template)
     for frame in sequence.frames:
-        camera, vertices = frame.camera, model.vertices(frame.parameters, sequence.shape).vertices
+        camera, vertices = frame.camera, rig.pose(frame.parameters, sequence.shape).vertices
         seen = vertices @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
         x, y = (
             camera.fx * seen[:, 0] / seen[:, 2] + camera.cx,

@@ -8,7 +8,7 @@ from subjects import parameters, small_template
 from samira_subject.eyelids import CLEARANCE, EYEBALLS, Eyelids
 from samira_subject.subdivision import LoopSubdivision, split_corners
 from samira_warp.geometry.mesh import face_areas
-from samira_warp.head import HeadModel
+from samira_warp.head import Rig
 
 OCTAHEDRON = np.array(
     [[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]]
@@ -115,7 +115,7 @@ def eyes():
 
 def test_lids_are_moved_out_of_the_eyeball_and_nothing_else_moves(eyes):
     template, rest, lids = eyes
-    posed = HeadModel.build(template).vertices(parameters(0), torch.zeros(template.n_shape))
+    posed = Rig.build(template).pose(parameters(0), torch.zeros(template.n_shape))
     for eye in lids:
         assert len(eye.skin) >= 3
         assert eye.joint in (3, 4)

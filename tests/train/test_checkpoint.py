@@ -1,8 +1,10 @@
 import pytest
 import torch
+from safetensors.torch import load_file, save_file
 from subjects import parameters, small_avatar
 
 from samira_warp import Avatar, UserError
+from samira_warp.head import FrameParameters
 from samira_warp.train.checkpoint import KEPT, TrainingState, last_checkpoint, load_training, save_checkpoint
 from samira_warp.train.density import DensityStatistics
 from samira_warp.train.optimizer import make_optimizer, set_rates
@@ -10,7 +12,7 @@ from samira_warp.train.tracking import TrackedParameters
 
 
 def tracked_frames():
-    return TrackedParameters([parameters(seed) for seed in range(3)])
+    return TrackedParameters(FrameParameters.stack([parameters(seed) for seed in range(3)]))
 
 
 @pytest.fixture
@@ -52,6 +54,56 @@ def test_everything_that_changes_comes_back(state, tmp_path):
                 before["name"]
             )
             assert bool(moments) is (before["name"] != "normals")
+
+
+def as_before_joints_had_names(path):
+    """Rewrite a checkpoint's training state as it was when FLAME's poses were four tensors."""
+    file = path / "training.safetensors"
+    tensors = load_file(file)
+    parts = {"rotation": slice(0, 1), "neck": slice(1, 2), "jaw": slice(2, 3), "eyes": slice(3, 5)}
+    rotations = tensors.pop("tracked.rotations")
+    moments = {name: tensors.pop(f"adam.pose.0.{name}") for name in ("exp_avg", "exp_avg_sq", "step")}
+    for index, (part, joints) in enumerate(parts.items()):
+        tensors[f"tracked.{part}"] = rotations[:, joints].flatten(1).clone()
+        tensors[f"adam.pose.{index}.step"] = moments["step"].clone()
+        for name in ("exp_avg", "exp_avg_sq"):
+            tensors[f"adam.pose.{index}.{name}"] = moments[name][:, joints].flatten(1).clone()
+    save_file(tensors, file)
+    return file
+
+
+def test_an_older_checkpoint_is_gone_on_from(state, tmp_path):
+    path = save_checkpoint(tmp_path, state, record={})
+    as_before_joints_had_names(path)
+    avatar, tracked = Avatar.load(path), tracked_frames()
+    optimizer = make_optimizer(avatar, tracked)
+    density = DensityStatistics(len(avatar.gaussians), torch.device("cpu"))
+    assert load_training(path, optimizer, tracked, density) == 7
+    assert torch.equal(tracked.rotations, state.tracked.rotations)
+    assert torch.equal(tracked.expression, state.tracked.expression)
+    moments, expected = (
+        optimizer.state[tracked.rotations],
+        state.optimizer.state[state.tracked.rotations],
+    )
+    assert set(moments) == set(expected) == {"step", "exp_avg", "exp_avg_sq"}
+    assert all(torch.equal(moments[name], expected[name]) for name in expected)
+
+
+def test_an_older_checkpoint_without_a_part_is_named(state, tmp_path):
+    path = save_checkpoint(tmp_path, state, record={})
+    file = as_before_joints_had_names(path)
+    whole = load_file(file)
+    tracked = tracked_frames()
+    optimizer = make_optimizer(state.avatar, tracked)
+    for name in ("tracked.jaw", "adam.pose.3.exp_avg"):
+        save_file({key: value for key, value in whole.items() if key != name}, file)
+        with pytest.raises(UserError, match=rf"training\.safetensors: .* found '{name}'"):
+            load_training(path, optimizer, tracked, state.density)
+
+
+def test_the_rotations_of_all_joints_are_one_group(state):
+    groups = {group["name"]: group["params"] for group in state.optimizer.param_groups}
+    assert [value is state.tracked.rotations for value in groups["pose"]] == [True]
 
 
 def test_only_the_newest_checkpoints_are_kept(state, tmp_path):

@@ -4,6 +4,7 @@ from subjects import SMALL_LIGHT, parameters, small_avatar, small_canonical
 
 from samira_warp.avatar import Gaussians
 from samira_warp.geometry.mesh import face_areas
+from samira_warp.head import FrameParameters
 from samira_warp.kernels.mesh.triangle_frames import triangle_frames
 from samira_warp.train.config import RATES
 from samira_warp.train.density import (
@@ -221,7 +222,7 @@ def test_opacity_reset_only_lowers(gaussians):
 
 def test_moments_follow_the_gaussians_that_stay():
     avatar = small_avatar(light_sizes=SMALL_LIGHT)
-    tracked = TrackedParameters([avatar.canonical.model.rest()])
+    tracked = TrackedParameters(FrameParameters.stack([avatar.canonical.rig.rest()]))
     optimizer = make_optimizer(avatar, tracked)
     assert {group["name"] for group in optimizer.param_groups} == set(RATES)
     held = [parameter for group in optimizer.param_groups for parameter in group["params"]]
@@ -255,7 +256,8 @@ def test_moments_follow_the_gaussians_that_stay():
 
 
 def test_one_groups_moments_can_be_forgotten():
-    avatar, tracked = small_avatar(gaussians=20, light_sizes=SMALL_LIGHT), TrackedParameters([parameters(0)])
+    avatar = small_avatar(gaussians=20, light_sizes=SMALL_LIGHT)
+    tracked = TrackedParameters(FrameParameters.stack([parameters(0)]))
     optimizer = make_optimizer(avatar, tracked)
     reset_moments(optimizer, "opacity_logits")  # before the first step there is nothing to forget
     assert not any(optimizer.state.values())

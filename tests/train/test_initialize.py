@@ -2,11 +2,12 @@ from dataclasses import replace
 
 import pytest
 import torch
-from subjects import parameters, small_canonical
+from subjects import parameters, posed, small_canonical
 
 from samira_warp.avatar import conditions_of
 from samira_warp.data import PixelCache, open_sequence
 from samira_warp.geometry.mesh import face_areas, vertex_normals
+from samira_warp.head import FrameParameters
 from samira_warp.kernels.mesh.triangle_frames import triangle_frames
 from samira_warp.nets import ConditionStatistics
 from samira_warp.train import initialize
@@ -16,7 +17,7 @@ from samira_warp.train.initialize import (
     initial_albedo,
     initial_gaussians,
 )
-from samira_warp.train.tracking import FIELDS, TrackedParameters
+from samira_warp.train.tracking import TrackedParameters
 
 COUNT = 3000
 
@@ -134,14 +135,14 @@ def with_frames(sequence, changes):
 
 def test_the_reference_is_the_frontal_neutral_frame(sequence):
     canonical = small_canonical()
-    rest = canonical.model.rest()
-    turned = {index: replace(rest, rotation=torch.tensor([0.0, 0.5, 0.0])) for index in range(6)}
+    rest = canonical.rig.rest()
+    turned = {index: posed(rest, root=(0.0, 0.5, 0.0)) for index in range(6)}
     for index in sequence.train:
         assert (
             choose_reference(
                 with_frames(sequence, {**turned, index: rest}),
                 canonical,
-                ConditionStatistics.of([conditions_of(rest)]),
+                ConditionStatistics.of(conditions_of(FrameParameters.stack([rest]))),
             )
             == index
         )
@@ -149,7 +150,7 @@ def test_the_reference_is_the_frontal_neutral_frame(sequence):
 
 def test_the_reference_has_the_mean_expression_among_frontal_frames(sequence):
     canonical = small_canonical()
-    rest = canonical.model.rest()
+    rest = canonical.rig.rest()
     values = dict(zip(sequence.train, (-2.0, 0.6, 2.0, -2.0), strict=True))
     frames = {
         index: replace(rest, expression=torch.full_like(rest.expression, value))
@@ -161,7 +162,7 @@ def test_the_reference_has_the_mean_expression_among_frontal_frames(sequence):
 
 def test_test_frames_are_neither_reference_nor_in_the_statistics(sequence):
     canonical = small_canonical()
-    rest = canonical.model.rest()
+    rest = canonical.rig.rest()
     away = {index: parameters(index) for index in sequence.train}
     changed = with_frames(sequence, {**away, **dict.fromkeys(sequence.test, rest)})
     assert choose_reference(changed, canonical, condition_statistics(changed)) in sequence.train
@@ -210,17 +211,19 @@ def test_the_albedo_is_unwrapped_from_twelve_frames_that_have_one(sequence, monk
 
 
 def test_tracked_parameters_start_as_tracked_and_learn_by_row(sequence):
+    names = ("translation", "rotations", "expression")
     frames = [sequence.frames[index].parameters for index in sequence.train]
-    tracked = TrackedParameters(frames)
+    tracked = TrackedParameters(sequence.batch(sequence.train))
+    assert set(dict(tracked.named_parameters())) == set(names)
     for row, frame in enumerate(frames):
         assert all(
-            torch.equal(getattr(tracked.frame(row, frame), name), getattr(frame, name)) for name in FIELDS
+            torch.equal(getattr(tracked.frame(row, frame), name), getattr(frame, name)) for name in names
         )
     offset = torch.ones(len(sequence.template.v_template), 3)
-    driven = tracked.frame(2, replace(frames[2], static_offset=offset))
-    assert driven.static_offset is offset
-    sum(getattr(driven, name).sum() for name in FIELDS).backward()
-    for name in FIELDS:
+    driven = tracked.frame(2, replace(frames[2], dynamic_offset=offset))
+    assert driven.dynamic_offset is offset
+    sum(getattr(driven, name).sum() for name in names).backward()
+    for name in names:
         gradient = getattr(tracked, name).grad
         assert (gradient[2] == 1).all()
         assert (gradient[[0, 1, 3]] == 0).all()

@@ -1,0 +1,44 @@
+"""The versions of the avatar folder, and what older ones wrote as the newest writes it.
+
+1   does not say whether the learned light is one map or two: it always is two
+2   keeps the poses of FLAME's five joints in rotation, neck, jaw and eyes
+3   keeps the poses of any joints in rotations
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+
+FORMAT = 3
+"""The version that is written."""
+
+READABLE = (1, 2, 3)
+"""The versions that are read, oldest first."""
+
+POSE_PARTS = ("rotation", "neck", "jaw", "eyes")
+"""FLAME's joints as they were kept before version 3: (T, 3) each, and (T, 6) for both eyes."""
+
+
+def settings_of_version(settings: dict[str, Any], version: int) -> dict[str, Any]:
+    """An avatar's settings of some version as today's."""
+    return {**settings, "tied_light": False} if version == 1 else settings
+
+
+def frames_of_version(tensors: dict[str, Tensor], version: int) -> dict[str, Tensor]:
+    """The tensors of an avatar's frames of some version as today's.
+
+    Raises:
+        KeyError: One is missing.
+    """
+    if version >= 3:
+        return tensors
+    others = {name: value for name, value in tensors.items() if name not in POSE_PARTS}
+    return {**others, "rotations": joined_poses(*(tensors[name] for name in POSE_PARTS))}
+
+
+def joined_poses(rotation: Tensor, neck: Tensor, jaw: Tensor, eyes: Tensor) -> Tensor:
+    """(T, 5, 3) values of FLAME's joints from those that `POSE_PARTS` name."""
+    return torch.cat([rotation, neck, jaw, eyes], dim=1).unflatten(1, (-1, 3))
