@@ -54,8 +54,16 @@ def test_it_opens_with_the_frames_and_parameters_that_were_played(dataset):
     played = perform(NAMES, train=PLAN.train, test=PLAN.test, seed=PLAN.seed)
     for index, frame in enumerate(sequence.frames):
         expected = played.frame(index)
-        for name in ("translation", "rotation", "neck", "jaw", "eyes", "expression"):
+        for name in ("translation", "rotations", "expression"):
             assert torch.equal(getattr(frame.parameters, name), getattr(expected, name))
+        with np.load(frame.parameters_path) as arrays:
+            for key, track in (
+                ("rotation", played.rotation),
+                ("neck_pose", played.neck),
+                ("jaw_pose", played.jaw),
+                ("eyes_pose", played.eyes),
+            ):
+                assert np.array_equal(arrays[key], track[index : index + 1].numpy()), key
         assert (frame.albedo_path is not None) == (index in sequence.train)
 
 
