@@ -14,7 +14,8 @@ def run(code):
 
 def test_importing_the_package_loads_neither_torch_nor_warp():
     loaded = run(
-        "import sys, samira_warp; print(sorted({name.split('.')[0] for name in sys.modules} & {'torch', 'warp', 'numpy', 'kornia'}))"
+        "import sys, samira_warp; loaded = {name.split('.')[0] for name in sys.modules}; "
+        "print(sorted(loaded & {'torch', 'warp', 'numpy', 'kornia'}))"
     )
     assert loaded == "[]"
 
@@ -24,7 +25,8 @@ def test_importing_every_module_compiles_and_starts_nothing():
         "import importlib, pkgutil, samira_warp, warp as wp\n"
         "def refuse(*arguments, **options): raise SystemExit('Warp was started by an import')\n"
         "wp.init = wp.load_module = wp.launch = refuse\n"
-        "names = [m.name for m in pkgutil.walk_packages(samira_warp.__path__, 'samira_warp.') if not m.name.endswith('__main__')]\n"
+        "modules = pkgutil.walk_packages(samira_warp.__path__, 'samira_warp.')\n"
+        "names = [module.name for module in modules if not module.name.endswith('__main__')]\n"
         "[importlib.import_module(name) for name in names]\n"
         "print(len(names))"
     )

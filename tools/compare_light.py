@@ -17,6 +17,7 @@ from pathlib import Path
 
 import torch
 from relight_table import AvatarPrediction, at_size, pairs, read_lights
+from torch import Tensor
 
 from samira_warp.avatar import Avatar, DrivingFrame, read_frames
 from samira_warp.avatar.gaussians import INITIAL_ROUGHNESS, INITIAL_SPECULAR, ROUGHNESS_RANGE, SPECULAR_RANGE
@@ -200,7 +201,7 @@ def _start_over(avatar: Avatar, variant: Variant, sequence: Sequence, pixels: Pi
     return avatar
 
 
-def _loss(avatar: Avatar, frame: DrivingFrame, target: Target, weights: LossWeights) -> torch.Tensor:
+def _loss(avatar: Avatar, frame: DrivingFrame, target: Target, weights: LossWeights) -> Tensor:
     height, width = target.image.shape[:2]
     rendering = avatar.render(frame.parameters, frame.camera.resized(width=width, height=height))
     return torch.stack(
@@ -230,14 +231,15 @@ def _hold_ranges(avatar: Avatar, variant: Variant) -> None:
 
 
 @torch.no_grad()
-def _set_range(logits: torch.Tensor, value: float, whole: tuple[float, float]) -> None:
+def _set_range(logits: Tensor, value: float, whole: tuple[float, float]) -> None:
     logits.fill_(float(torch.logit(torch.tensor((value - whole[0]) / (whole[1] - whole[0])))))
 
 
 @torch.no_grad()
 def _score(config: CompareConfig, avatar: Avatar, sequence: Sequence) -> dict[str, float]:
-    """PSNR of the test frames under the learned light, and under each true light; their mean without the
-    capture light; albedo.
+    """PSNR of the test frames under the learned light and under each true light.
+
+    With their mean without the capture light, and the albedo's.
     """
     scores: dict[str, float] = {}
     learned = AvatarPrediction(avatar, avatar.light())

@@ -1,5 +1,6 @@
-"""Measure how the rasteriser's time grows with Gaussians, pixels, channels and culled Gaussians: a table, and
-a plot.
+"""Measure how the rasteriser's time grows: a table, and a plot.
+
+It grows with Gaussians, pixels, channels and culled Gaussians.
 
 usage: python tools/raster_growth.py --out FILE.png [--device auto|cpu|cuda]
 """
@@ -57,14 +58,15 @@ AXES = {
     "culled": "culled Gaussians, besides 50,000 that are seen",
 }
 
-HEADER = "| varies | Gaussians | culled | size | channels | intersections | prepare ms | forward ms | backward ms | forward ns/intersection |"
+HEADER = (
+    "| varies | Gaussians | culled | size | channels | intersections "
+    "| prepare ms | forward ms | backward ms | forward ns/intersection |"
+)
 
 
 @dataclass(frozen=True)
 class GrowthConfig:
-    """Measure how the rasteriser's time grows with Gaussians, pixels, channels and culled Gaussians: a table,
-    and a plot.
-    """
+    """Measure how the rasteriser's time grows with Gaussians, pixels, channels and culled Gaussians."""
 
     out: Path
     """The .png file to write; the table goes to standard output, as Markdown."""
@@ -90,9 +92,9 @@ def main(config: GrowthConfig) -> None:
         for point, times in _measure(points, device):
             measured[name].append(times)
             milliseconds = " | ".join(f"{getattr(times, stage):.3g}" for stage in STAGES)
-            print(
-                f"| {name} | {' | '.join(map(str, point))} | {times.intersections} | {milliseconds} | {_per_intersection(times):.3g} |"
-            )
+            sizes = " | ".join(map(str, point))
+            each = f"{_per_intersection(times):.3g}"
+            print(f"| {name} | {sizes} | {times.intersections} | {milliseconds} | {each} |")
     _plot(measured, hardware(device)).savefig(config.out, dpi=120)
 
 
@@ -102,8 +104,9 @@ def _measure(points: list[Point], device: torch.device) -> Iterator[tuple[Point,
 
 
 def _scene(point: Point, device: torch.device) -> Scene:
-    """The benchmark's scene, translucent; mixed into it, as many behind the camera as beside the image and as
-    are too faint to see.
+    """The benchmark's scene, translucent, with culled Gaussians mixed into it.
+
+    As many are behind the camera as beside the image and as are too faint to see.
     """
     scene = make_scene(point.gaussians + point.culled, point.size, device)
     shuffle = torch.randperm(len(scene.means), generator=torch.Generator().manual_seed(1))

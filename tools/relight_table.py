@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from samira_warp.avatar import Avatar
 from samira_warp.avatar.gaussians import INITIAL_ROUGHNESS, INITIAL_SPECULAR
@@ -137,7 +138,7 @@ class AvatarPrediction(NamedTuple):
     avatar: Avatar
     light: FilteredLight
 
-    def __call__(self, frame: Frame, camera: Camera, mask: torch.Tensor) -> torch.Tensor:
+    def __call__(self, frame: Frame, camera: Camera, mask: Tensor) -> Tensor:
         """(H, W, 3) display values on white."""
         return self.avatar.render(frame.parameters, camera, self.light).image
 
@@ -148,7 +149,7 @@ class OraclePrediction(NamedTuple):
     data: Path
     light: FilteredLight
 
-    def __call__(self, frame: Frame, camera: Camera, mask: torch.Tensor) -> torch.Tensor:
+    def __call__(self, frame: Frame, camera: Camera, mask: Tensor) -> Tensor:
         """(H, W, 3) display values on white."""
         normal, albedo = (
             at_size(read_image(self.data / "gt" / layer / f"{frame.name}.png", channels=3), camera.width)
@@ -168,7 +169,7 @@ class OraclePrediction(NamedTuple):
         return compose(shaded.color.unflatten(0, mask.shape), mask[..., None], 1.0)
 
 
-def at_size(image: np.ndarray, resolution: int) -> torch.Tensor:
+def at_size(image: np.ndarray, resolution: int) -> Tensor:
     """Box-resize an (H, W, C) array."""
     return torch.from_numpy(resize_box(image, width=resolution, height=resolution))
 

@@ -1,5 +1,6 @@
-"""Tell what tracking noise costs an avatar: render test frames with the tracker's and with the true
-parameters, and score both.
+"""Tell what tracking noise costs an avatar.
+
+Test frames are rendered with the tracker's and with the true parameters, and both are scored.
 
 usage: python tools/tracking_noise.py --avatar DIR --data DIR [--every N]
 

@@ -14,10 +14,10 @@ from samira_warp.support.errors import UserError
 
 @dataclass(frozen=True)
 class CheckConfig:
-    """Say what a dataset holds and all that is wrong with it, and draw the tracked mesh over a dozen of its
-    frames.
+    """Say what a dataset holds and all that is wrong with it.
 
-    The exit status is 0 where it can be trained on, and 2 where anything stands against it.
+    The tracked mesh is drawn over a dozen of its frames. The exit status is 0 where it can be trained on, and
+    2 where anything stands against it.
     """
 
     data: Path

@@ -41,8 +41,9 @@ def mesh_sheet(views: list[View], faces: np.ndarray, *, parts: dict[str, str]) -
 
 
 def mesh_overlay(view: View, faces: np.ndarray, *, width: int, height: int) -> np.ndarray:
-    """(height, width, 4) float32 premultiplied display values and coverage of a mesh: shaded faces with their
-    edges, near over far.
+    """(height, width, 4) float32 premultiplied display values and coverage of a mesh.
+
+    Shaded faces with their edges, near over far.
     """
     camera = view.frame.camera
     faces = faces_before(view.points, faces)

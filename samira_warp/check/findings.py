@@ -15,7 +15,10 @@ from samira_warp.support.errors import UserError
 MOST_ALIKE = 12
 """Findings of one kind in one folder that are told one by one."""
 
-OTHER_FLAME = "give the head model that was tracked with --flame, FLAME's 2020 and 2023 versions are two, or track again with the one that you have"
+OTHER_FLAME = (
+    "give the head model that was tracked with --flame, FLAME's 2020 and 2023 versions are two, "
+    "or track again with the one that you have"
+)
 
 _SUFFIXES = (".json", ".npz", ".npy", ".frame", ".pkl", ".pickle", ".obj", *SUFFIXES)
 _FILE = re.compile(rf"(?P<path>.*?({'|'.join(map(re.escape, _SUFFIXES))}))(:|$)", re.IGNORECASE)
@@ -57,8 +60,9 @@ def finding_of(fault: UserError) -> Finding:
 
 
 def in_lines(findings: Iterable[Finding]) -> list[str]:
-    """A line for each finding; of many that differ in their file alone, the first `MOST_ALIKE` and how many
-    more there are.
+    """A line for each finding.
+
+    Of many that differ in their file alone, the first `MOST_ALIKE` and how many more there are.
     """
     lines = []
     for _, group in groupby(findings, key=_kind):

@@ -85,14 +85,16 @@ _MISTAKES = {
         _tracked,
         "the head as large as its mask",
         "about four times as large",
-        "the camera's distance looks divided by four: write lengths in metres, or give the file the name of its version",
+        "the camera's distance looks divided by four: write lengths in metres, "
+        "or give the file the name of its version",
     ),
     "small": _Mistake(
         "fault",
         _tracked,
         "the head as large as its mask",
         "about a quarter as large",
-        "the camera's distance looks like that of a head four times as large: divide it by four to have metres",
+        "the camera's distance looks like that of a head four times as large: "
+        "divide it by four to have metres",
     ),
     "turned": _Mistake(
         "fault",
@@ -106,7 +108,8 @@ _MISTAKES = {
         _pictures,
         "the tracked head within its mask",
         "beside it",
-        f"look at the contact sheet: were the pictures cropped or scaled after they were tracked? Else {OTHER_FLAME}",
+        "look at the contact sheet: were the pictures cropped or scaled after they were tracked? "
+        f"Else {OTHER_FLAME}",
     ),
 }
 
@@ -143,8 +146,6 @@ def _mistake(case: _Case) -> str | None:
 
 
 def _covers_the_border(matte: np.ndarray) -> bool:
-    """Whether most of the upper border is covered, where a person is not; shoulders leave the picture
-    below.
-    """
+    """Whether most of the upper border is covered, where a person is not: shoulders leave it below."""
     upper = matte[: max(matte.shape[0] // 2, 1)] > 0.5
     return bool(np.concatenate([upper[0], upper[:, 0], upper[:, -1]]).mean() > 0.5)

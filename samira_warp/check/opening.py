@@ -108,8 +108,9 @@ def open_checked(root: Path, *, split: str = "dataset", flame: Path | None = Non
 
 
 def _telling(root: Path, faults: list[UserError]) -> list[UserError]:
-    """Each fault once, and complaints about the folder as a whole only where they do not follow from faults
-    of its parts.
+    """Each fault once.
+
+    Complaints about the folder as a whole are told only where they do not follow from faults of its parts.
     """
     once = list({(fault.subject, fault.found): fault for fault in reversed(faults)}.values())[::-1]
     parts = [

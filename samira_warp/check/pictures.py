@@ -24,8 +24,9 @@ _BATCH = 64
 
 
 def undecodable(frames: Iterable[FrameFiles]) -> list[Finding]:
-    """Pictures, masks and albedos that cannot be decoded, and masks that are empty; with progress on standard
-    error.
+    """Pictures, masks and albedos that cannot be decoded, and masks that are empty.
+
+    Progress goes to standard error.
     """
     frames = list(frames)
     found: list[Finding] = []

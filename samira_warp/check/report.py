@@ -1,6 +1,4 @@
-"""The whole check of a dataset: what it holds, what is wrong with it, and the sheet on which a person looks
-at it.
-"""
+"""The whole check of a dataset: what it holds, what is wrong with it, and a sheet for a person to look at."""
 
 from __future__ import annotations
 

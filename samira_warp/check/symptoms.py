@@ -129,7 +129,8 @@ def _mesh(sequence: Sequence, views: list[View]) -> Iterator[Finding]:
     stretch = (after / before.clamp(min=1e-9)).flatten()
     torn = ((stretch > _STRETCHED) | (stretch < 1 / _STRETCHED)).double().mean()
     if torn > _MOST_STRETCHED:
-        found = f"one torn: {torn:.0%} of its edges are over {_STRETCHED:.0f} times as long or short as the template's"
+        share = f"{torn:.0%} of its edges are over {_STRETCHED:.0f} times"
+        found = f"one torn: {share} as long or short as the template's"
         yield Finding(
             "fault",
             str(sequence.frames[0].parameters_path),
@@ -163,7 +164,10 @@ def _place(sequence: Sequence, views: list[View]) -> Iterator[Finding]:
     before = [view for view in views if np.median(view.points[:, 2]) > NEAR_PLANE]
     turned = [view for view in before if view.up[1] > 0.5]
     if 2 * len(turned) >= len(before):
-        remedy = "negate the x and y axes of the camera, or turn the pictures by 180 degrees as they were when they were tracked"
+        remedy = (
+            "negate the x and y axes of the camera, "
+            "or turn the pictures by 180 degrees as they were when they were tracked"
+        )
         yield Finding(
             "fault",
             f"{cameras_of(sequence)}: poses",
@@ -175,7 +179,10 @@ def _place(sequence: Sequence, views: list[View]) -> Iterator[Finding]:
     outside = [view for view in before if not _inside(view.pixels, view).any()]
     if 2 * len(outside) >= len(before):
         found = f"it outside in {_share(outside, views)}"
-        remedy = "look whether the pictures were cropped after they were tracked, and whether centre and focal length are the camera's"
+        remedy = (
+            "look whether the pictures were cropped after they were tracked, "
+            "and whether centre and focal length are the camera's"
+        )
         yield Finding("fault", cameras_of(sequence), "the head in the picture", found, remedy)
 
 
@@ -193,10 +200,12 @@ def _turn(views: list[View]) -> str:
             and _inside(project(points, view.frame), view).any()
         )
 
+    another_convention = (
+        "the camera's y and z axes are those of another convention (OpenCV's for OpenGL's): "
+        "negate columns two and three of each matrix"
+    )
     mends: dict[str, Callable[[np.ndarray], np.ndarray]] = {
-        "the camera's y and z axes are those of another convention (OpenCV's for OpenGL's): negate columns two and three of each matrix": (
-            lambda pose: flip @ pose
-        ),
+        another_convention: lambda pose: flip @ pose,
         "the matrices are inverted (world to camera for camera to world): write their inverses": (
             lambda pose: flip @ np.linalg.inv(pose) @ flip
         ),
@@ -204,13 +213,14 @@ def _turn(views: list[View]) -> str:
     for remedy, mend in mends.items():
         if all(mended(view, mend) for view in views):
             return remedy
-    return "the camera looks the other way: negate the x and z axes of each matrix, or the sign of the translation"
+    return (
+        "the camera looks the other way: negate the x and z axes of each matrix, "
+        "or the sign of the translation"
+    )
 
 
 def _framing(sequence: Sequence, views: list[View]) -> Iterator[Finding]:
-    """Heads much larger or smaller than pictures are framed by: all that can be said where there are no
-    mattes.
-    """
+    """Heads much larger or smaller than pictures are framed by: all that is to be seen without mattes."""
     heights = np.array(
         [
             np.ptp(view.pixels[:, 1]) / view.frame.camera.height
@@ -221,7 +231,10 @@ def _framing(sequence: Sequence, views: list[View]) -> Iterator[Finding]:
     typical = float(np.median(heights)) if len(heights) else _MOST_HEIGHT
     if _LEAST_HEIGHT <= typical <= _MOST_HEIGHT:
         return
-    remedy = "look at the contact sheet: the camera's distance may be in another unit than metres (IMavatar's and HRAvatar's first are 4)"
+    remedy = (
+        "look at the contact sheet: the camera's distance may be in another unit than metres "
+        "(IMavatar's and HRAvatar's first are 4)"
+    )
     yield Finding(
         "warning",
         cameras_of(sequence),

@@ -69,8 +69,9 @@ def faces_before(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def coverage(view: View) -> np.ndarray | None:
-    """(h, w) float32 coverage of the picture, at most `_GRID` pixels a side; None where it has none or cannot
-    be decoded.
+    """(h, w) float32 coverage of the picture, at most `_GRID` pixels a side.
+
+    None where it has none or cannot be decoded.
     """
     camera = view.frame.camera
     scale = min(_GRID / max(camera.width, camera.height), 1.0)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import torch
+from torch import Tensor
 
 from samira_warp.evaluate import metrics
 from samira_warp.evaluate.lpips import SMALLEST_IMAGE, Lpips
@@ -19,7 +20,8 @@ PROTOCOL = {
     "ssim": "whole frame, Gaussian window 11, sigma 1.5, range 1, borders reflected",
     "l1": "mean absolute difference over the whole frame x 100",
     "psnr_foreground": f"psnr over mask > {metrics.FOREGROUND}",
-    "psnr_gain": f"psnr over mask > {metrics.FOREGROUND} after one least-squares gain per channel, in display values",
+    "psnr_gain": f"psnr over mask > {metrics.FOREGROUND} after one least-squares gain per channel, "
+    "in display values",
     "average": "mean over frames of each frame's score; a region's over the frames that show it",
     "background": "white",
 }
@@ -39,10 +41,10 @@ class ImagePair:
     """
 
     name: str
-    prediction: torch.Tensor
-    truth: torch.Tensor
-    mask: torch.Tensor | None = None
-    labels: torch.Tensor | None = None
+    prediction: Tensor
+    truth: Tensor
+    mask: Tensor | None = None
+    labels: Tensor | None = None
 
 
 @dataclass
@@ -115,9 +117,9 @@ def evaluate_images(
     return result
 
 
-def _score_image(pair: ImagePair, layer: Layer, lpips: Lpips | None) -> dict[str, torch.Tensor | None]:
+def _score_image(pair: ImagePair, layer: Layer, lpips: Lpips | None) -> dict[str, Tensor | None]:
     similarity = metrics.ssim_map(pair.prediction, pair.truth)
-    scores: dict[str, torch.Tensor | None] = {
+    scores: dict[str, Tensor | None] = {
         "psnr": metrics.psnr(pair.prediction, pair.truth),
         "ssim": similarity.mean(),
         "l1": metrics.l1(pair.prediction, pair.truth),
@@ -136,7 +138,7 @@ def _score_image(pair: ImagePair, layer: Layer, lpips: Lpips | None) -> dict[str
     return scores
 
 
-def _score_normals(pair: ImagePair) -> dict[str, torch.Tensor]:
+def _score_normals(pair: ImagePair) -> dict[str, Tensor]:
     mask = torch.ones_like(pair.truth[..., 0]) if pair.mask is None else pair.mask
     return {"normal_angle": metrics.normal_angle(pair.prediction, pair.truth, mask)}
 
@@ -173,7 +175,7 @@ def _protocol(layer: Layer, lpips: Lpips | str, frame_count: int) -> dict[str, A
     )
 
 
-def _finite(score: torch.Tensor | None) -> float | None:
+def _finite(score: Tensor | None) -> float | None:
     """A number that JSON can hold: None for an absent score and for the mean of nothing."""
     if score is None or not math.isfinite(value := score.item()):
         return None

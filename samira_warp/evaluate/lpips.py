@@ -1,6 +1,4 @@
-"""LPIPS v0.1 (Zhang et al. 2018) on VGG16 and AlexNet, in plain torch, with weights that the user already
-has.
-"""
+"""LPIPS v0.1 (Zhang et al. 2018) on VGG16 and AlexNet, in plain torch, with weights that the user has."""
 
 from __future__ import annotations
 
@@ -11,7 +9,7 @@ from pathlib import Path
 from typing import Literal
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from samira_warp.support.errors import UserError
 
@@ -92,9 +90,7 @@ class Lpips(nn.Module):
         head: LPIPS v0.1's linear weights (keys ``linN.model.1.weight``).
     """
 
-    def __init__(
-        self, net: LpipsNet, backbone: Mapping[str, torch.Tensor], head: Mapping[str, torch.Tensor]
-    ) -> None:
+    def __init__(self, net: LpipsNet, backbone: Mapping[str, Tensor], head: Mapping[str, Tensor]) -> None:
         super().__init__()
         self.net = net
         self.convolutions = _BACKBONES[net].convolutions
@@ -111,7 +107,7 @@ class Lpips(nn.Module):
         self.register_buffer("shift", torch.tensor([-0.030, -0.088, -0.188])[:, None, None])
         self.register_buffer("scale", torch.tensor([0.458, 0.448, 0.450])[:, None, None])
 
-    def forward(self, prediction: torch.Tensor, truth: torch.Tensor) -> torch.Tensor:
+    def forward(self, prediction: Tensor, truth: Tensor) -> Tensor:
         """Distance of two images, () float32: 0 for equal ones.
 
         Args:
@@ -134,7 +130,7 @@ class Lpips(nn.Module):
         ]
         return torch.stack(distances).sum()
 
-    def _features(self, image: torch.Tensor) -> list[torch.Tensor]:
+    def _features(self, image: Tensor) -> list[Tensor]:
         """The tapped levels of one image, (1, C, h, w) each."""
         x = ((2.0 * image.to(self.shift.device).permute(2, 0, 1) - 1.0 - self.shift) / self.scale)[None]
         levels = []
@@ -221,7 +217,7 @@ def _head_shapes(net: LpipsNet) -> dict[str, tuple[int, ...]]:
     return {f"lin{level}.model.1.weight": (1, channels, 1, 1) for level, channels in enumerate(tapped)}
 
 
-def _read_weights(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, torch.Tensor]:
+def _read_weights(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, Tensor]:
     """The named tensors of a state dict, each of the shape expected; no code in the file is run."""
     try:
         state = torch.load(path, map_location="cpu", weights_only=True)
@@ -235,15 +231,16 @@ def _read_weights(path: Path, shapes: Mapping[str, tuple[int, ...]]) -> dict[str
         ) from fault
     for key, shape in shapes.items():
         found = state.get(key) if isinstance(state, dict) else None
-        if not isinstance(found, torch.Tensor) or tuple(found.shape) != shape:
+        if not isinstance(found, Tensor) or tuple(found.shape) != shape:
             raise UserError(
                 f"{path}: {key}", expected=f"weights of shape {shape}", found=getattr(found, "shape", "none")
             )
     return {key: state[key] for key in shapes}
 
 
-def _unit(features: torch.Tensor) -> torch.Tensor:
-    """Features of unit length over the channels; vector_norm has a gradient of zero at zero, where a square
-    root has none.
+def _unit(features: Tensor) -> Tensor:
+    """Features of unit length over the channels.
+
+    vector_norm has a gradient of zero at zero, where a square root has none.
     """
     return features / (torch.linalg.vector_norm(features, dim=1, keepdim=True) + 1e-10)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import torch
+from torch import Tensor
 
 from samira_warp.support.caching import cached_tensors
 
@@ -23,7 +24,7 @@ class Camera:
         height: H, pixels.
     """
 
-    world_to_camera: torch.Tensor
+    world_to_camera: Tensor
     fx: float
     fy: float
     cx: float
@@ -49,12 +50,12 @@ class Camera:
         return replace(self, world_to_camera=self.world_to_camera.to(device))
 
     @property
-    def center(self) -> torch.Tensor:
+    def center(self) -> Tensor:
         """(3,) camera centre in world space, metres."""
         rotation, translation = self.world_to_camera[:3, :3], self.world_to_camera[:3, 3]
         return -rotation.T @ translation
 
-    def ray_directions(self) -> torch.Tensor:
+    def ray_directions(self) -> Tensor:
         """(H, W, 3) unit directions in world space from the camera through each pixel centre."""
         transform = self.world_to_camera
         rays = _unit_rays(
@@ -73,7 +74,7 @@ def _unit_rays(
     height: int,
     dtype: torch.dtype,
     device: torch.device,
-) -> torch.Tensor:
+) -> Tensor:
     """(H, W, 3) unit directions in camera space: the same for every view of a sequence."""
     x = (torch.arange(width, dtype=dtype, device=device) + 0.5 - cx) / fx
     y = (torch.arange(height, dtype=dtype, device=device) + 0.5 - cy) / fy

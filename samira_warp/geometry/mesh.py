@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import torch
+from torch import Tensor
 
 
-def vertex_normals(vertices: torch.Tensor, faces: torch.Tensor) -> torch.Tensor:
-    """(V, 3) unit normals of (V, 3) vertices: the mean of the adjacent (F, 3) faces' normals, weighted by
-    area; 0 where there is none.
+def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
+    """(V, 3) unit normals of (V, 3) vertices.
+
+    They are the mean of the adjacent (F, 3) faces' normals, weighted by area; 0 where there is none.
     """
     doubled = _doubled_area_vectors(vertices, faces)
     total = torch.zeros_like(vertices)
@@ -16,11 +18,11 @@ def vertex_normals(vertices: torch.Tensor, faces: torch.Tensor) -> torch.Tensor:
     return torch.nn.functional.normalize(total, dim=1, eps=1e-30)
 
 
-def face_areas(vertices: torch.Tensor, faces: torch.Tensor) -> torch.Tensor:
+def face_areas(vertices: Tensor, faces: Tensor) -> Tensor:
     """(F,) areas of the (F, 3) faces, in the square of the unit of the (V, 3) vertices."""
     return _doubled_area_vectors(vertices, faces).norm(dim=1) / 2
 
 
-def _doubled_area_vectors(vertices: torch.Tensor, faces: torch.Tensor) -> torch.Tensor:
+def _doubled_area_vectors(vertices: Tensor, faces: Tensor) -> Tensor:
     a, b, c = vertices[faces.long()].unbind(dim=1)
     return torch.linalg.cross(b - a, c - a)

@@ -10,18 +10,17 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import torch
 from safetensors import SafetensorError
 from safetensors.torch import save_file
+from torch import Tensor
 
 from samira_warp.support.errors import UserError
 
 
 def cache_folder() -> Path:
-    """Where this project keeps what it can make again: ``SAMIRA_WARP_CACHE``, else its own folder among the
-    user's caches.
+    """Where this project keeps what it can make again.
 
-    Nothing is made on disk.
+    It is ``SAMIRA_WARP_CACHE``, else its own folder among the user's caches. Nothing is made on disk.
 
     Raises:
         UserError: Neither the environment nor the system knows of a folder for it.
@@ -87,9 +86,7 @@ def replace_file(target: Path, text: str) -> None:
         fresh.unlink(missing_ok=True)
 
 
-def save_tensors(
-    tensors: dict[str, torch.Tensor], path: Path, *, metadata: dict[str, str] | None = None
-) -> None:
+def save_tensors(tensors: dict[str, Tensor], path: Path, *, metadata: dict[str, str] | None = None) -> None:
     """Write tensors by name as a safetensors file.
 
     Raises:
@@ -121,8 +118,9 @@ def read_json(path: Path) -> dict[str, Any]:
 
 
 def _flush(path: Path) -> None:
-    """Have the disk hold a file, or the names in a folder; Windows opens no folders, and flushes only what is
-    open for writing.
+    """Have the disk hold a file, or the names in a folder.
+
+    Windows opens no folders, and flushes only what is open for writing.
     """
     on_windows = sys.platform == "win32"
     if on_windows and path.is_dir():

@@ -100,8 +100,9 @@ def read_channels(path: Path) -> Channels:
 
 
 def read_rgba(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
-    """An image's straight colour (H, W, 3) float32 and its alpha (H, W) float32 in 0..1, None where the file
-    has no alpha.
+    """An image's straight colour (H, W, 3) and its alpha (H, W) in 0..1, both float32.
+
+    The alpha is None where the file has none.
 
     Raises:
         UserError: The file is missing or cannot be decoded.
@@ -111,8 +112,9 @@ def read_rgba(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
 
 
 def composite_on_white(colour: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-    """Straight colour (H, W, 3) under coverage (H, W) laid on white, in display values as the mattes of these
-    datasets are made.
+    """Straight colour (H, W, 3) under coverage (H, W) laid on white.
+
+    It is laid in display values, as the mattes of these datasets are made.
     """
     coverage = alpha[..., None]
     return colour * coverage + (1.0 - coverage)
@@ -205,8 +207,9 @@ def resize_nearest(array: np.ndarray, *, width: int, height: int) -> np.ndarray:
 
 
 def text_line(text: str, *, width: int, height: int) -> np.ndarray:
-    """(height, width, 3) float32: one line of black text in the middle of a white strip; what is too long
-    loses its middle.
+    """(height, width, 3) float32: one line of black text in the middle of a white strip.
+
+    What is too long loses its middle.
     """
     strip = oiio.ImageBuf(oiio.ImageSpec(width, height, 3, oiio.FLOAT))
     oiio.ImageBufAlgo.fill(strip, (1.0, 1.0, 1.0))
@@ -327,8 +330,9 @@ def _check_written(path: Path) -> None:
 
 
 def _check_png(path: Path, *, whole: bool) -> None:
-    """Walk a PNG's chunks before libpng does: it would print its own lines on standard error about a broken
-    file.
+    """Walk a PNG's chunks before libpng does.
+
+    It would print its own lines on standard error about a broken file.
     """
     with path.open("rb") as file:
         if file.read(8) != _PNG_SIGNATURE:

@@ -53,8 +53,9 @@ def read_pickle(path: Path) -> Any:
 
 
 def read_torch_archive(path: Path) -> Any:
-    """Read what ``torch.save`` made of a dictionary of numpy arrays, as metrical-tracker's ``.frame`` files
-    are.
+    """Read what ``torch.save`` made of a dictionary of numpy arrays.
+
+    Metrical-tracker's ``.frame`` files are such.
 
     Raises:
         UserError: As in read_pickle.
@@ -100,8 +101,9 @@ def read_pickled_npy(path: Path) -> Any:
 
 
 def as_array(value: object) -> np.ndarray | None:
-    """The array that a value of `read_pickle` stands for, a sparse matrix made dense, a list of numbers as an
-    array; None for all else.
+    """The array that a value of `read_pickle` stands for.
+
+    A sparse matrix is made dense, a list of numbers an array; None for all else.
 
     Raises:
         ValueError: A sparse matrix does not hold together.
@@ -292,8 +294,9 @@ class _Scalar(_Inert):
 
 
 class _Sparse(_Inert):
-    """scipy.sparse's matrices compressed by column. Made dense here: scipy's own code trusts what it is
-    given, and crashes.
+    """scipy.sparse's matrices compressed by column.
+
+    Made dense here: scipy's own code trusts what it is given, and crashes.
     """
 
     by_rows = False

@@ -1,15 +1,15 @@
-"""The split-sum BRDF table of Eq. pbr_color: GGX with height-correlated Smith shadowing and Schlick's
-Fresnel, integrated here.
+"""The split-sum BRDF table of Eq. pbr_color, integrated here.
 
-With F = f + (1 - f) (1 - v . h)^5, the integral of the specular BRDF times n . l over the hemisphere is f B_x
-+ B_y. Both depend on roughness and n . v only. The table is sampled on nodes, its borders included, so
-lookups need no clamping at half a texel.
+GGX with height-correlated Smith shadowing and Schlick's Fresnel: with F = f + (1 - f) (1 - v . h)^5, the
+integral of the specular BRDF times n . l over the hemisphere is f B_x + B_y. Both depend on roughness and
+n . v only. The table is sampled on nodes, its borders included, so lookups need no clamping at half a texel.
 """
 
 from __future__ import annotations
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from samira_warp.support.caching import cached_tensors
 
@@ -26,11 +26,11 @@ _GRAZING = 1e-6
 
 
 @cached_tensors()
-def brdf_table(device: torch.device) -> torch.Tensor:
-    """(BRDF_SIZE, BRDF_SIZE, 2) float32 (B_x, B_y) at roughness row / (BRDF_SIZE - 1) and n . v = (column /
-    (BRDF_SIZE - 1))^2.
+def brdf_table(device: torch.device) -> Tensor:
+    """(BRDF_SIZE, BRDF_SIZE, 2) float32 (B_x, B_y) by roughness and n . v.
 
-    The square puts nodes where the terms bend: near grazing.
+    Row r is a roughness of r / (BRDF_SIZE - 1), column c is n . v = (c / (BRDF_SIZE - 1))^2. The square puts
+    nodes where the terms bend: near grazing.
     """
     nodes = np.linspace(0.0, 1.0, BRDF_SIZE)
     rows = [integrate_brdf(roughness, nodes * nodes) for roughness in nodes]
@@ -38,8 +38,9 @@ def brdf_table(device: torch.device) -> torch.Tensor:
 
 
 def integrate_brdf(roughness: np.ndarray | float, cosine: np.ndarray) -> np.ndarray:
-    """(..., 2) float64 (B_x, B_y) by quadrature over half vectors, for ``roughness`` and ``cosine`` = n . v
-    in [0, 1], which broadcast.
+    """(..., 2) float64 (B_x, B_y) by quadrature over half vectors.
+
+    ``roughness`` and ``cosine`` = n . v are in [0, 1] and broadcast.
 
     Half vectors are spaced by the density D (n . h), which leaves 4 V (n . l) (v . h) / (n . h) (F's two
     parts) to average; their azimuth ends where the light sinks below the horizon, so that the integrand is

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 import torch
+from torch import Tensor
 
 from samira_warp.kernels.shading.display import CURVE_OFFSET, CURVE_POWER, CURVE_SCALE, LINE_SLOPE, LINEAR_END
 
@@ -12,7 +13,7 @@ ColorSpace = Literal["srgb", "raw"]
 """What image values mean: "srgb" is the encoded sRGB of linear shading, "raw" the shading itself."""
 
 
-def encode_srgb(linear: torch.Tensor) -> torch.Tensor:
+def encode_srgb(linear: Tensor) -> Tensor:
     """Linear values of any shape to sRGB display values.
 
     Not clipped: 1 and above go on along the curve, negative ones along its line.
@@ -23,7 +24,7 @@ def encode_srgb(linear: torch.Tensor) -> torch.Tensor:
     )
 
 
-def decode_srgb(display: torch.Tensor) -> torch.Tensor:
+def decode_srgb(display: Tensor) -> Tensor:
     """Inverse of `encode_srgb`."""
     end = LINE_SLOPE * LINEAR_END
     curved = display.clamp(min=end)
@@ -32,7 +33,7 @@ def decode_srgb(display: torch.Tensor) -> torch.Tensor:
     )
 
 
-def to_display(values: torch.Tensor, *, color_space: ColorSpace) -> torch.Tensor:
+def to_display(values: Tensor, *, color_space: ColorSpace) -> Tensor:
     """What shading works in, as a picture shows it.
 
     Encoded where that is linear light ("srgb"), as it is where it is image values ("raw").
@@ -41,12 +42,12 @@ def to_display(values: torch.Tensor, *, color_space: ColorSpace) -> torch.Tensor
 
 
 def compose(
-    foreground: torch.Tensor,
-    alpha: torch.Tensor,
-    background: torch.Tensor | float,
+    foreground: Tensor,
+    alpha: Tensor,
+    background: Tensor | float,
     *,
     color_space: ColorSpace = "srgb",
-) -> torch.Tensor:
+) -> Tensor:
     """Eq. alpha_compose in display values: I = alpha encode(C_fg) + (1 - alpha) background.
 
     Args:

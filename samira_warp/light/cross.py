@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 
 import torch
+from torch import Tensor
 
 from samira_warp.kernels.cubemap.layout import FACES, texel_directions, texel_solid_angles
 from samira_warp.kernels.cubemap.lookup import sample_cubemap
@@ -42,9 +43,10 @@ def is_cross(height: int, width: int) -> bool:
     return 3 * width == 4 * height or 4 * width == 3 * height
 
 
-def cross_to_cube(cross: torch.Tensor) -> torch.Tensor:
-    """The faces of a cross (3 S, 4 S, C) or (4 S, 3 S, C) as a cubemap (6, S, S, C), texel for texel; what is
-    beside them is not looked at.
+def cross_to_cube(cross: Tensor) -> Tensor:
+    """The faces of a cross (3 S, 4 S, C) or (4 S, 3 S, C) as a cubemap (6, S, S, C), texel for texel.
+
+    What is beside them is not looked at.
 
     Raises:
         UserError: It is no cross.
@@ -61,7 +63,7 @@ def cross_to_cube(cross: torch.Tensor) -> torch.Tensor:
     return torch.stack(faces)
 
 
-def cube_to_cross(cubemap: torch.Tensor) -> torch.Tensor:
+def cube_to_cross(cubemap: Tensor) -> Tensor:
     """A cubemap (6, S, S, C) as a lying cross (3 S, 4 S, C), texel for texel; 0 beside the faces."""
     check_tensor("cubemap", cubemap, shape=(FACES, "S", "S", "C"), dtype=None)
     size = cubemap.shape[1]
@@ -71,7 +73,7 @@ def cube_to_cross(cubemap: torch.Tensor) -> torch.Tensor:
     return cross
 
 
-def resample_cube(cubemap: torch.Tensor, *, size: int, rotate: float = 0.0) -> torch.Tensor:
+def resample_cube(cubemap: Tensor, *, size: int, rotate: float = 0.0) -> Tensor:
     """A cubemap at another size, or turned; each texel is the mean over its solid angle.
 
     A map whose size is a multiple of the new one, and that is not turned, is averaged exactly in whole
@@ -102,7 +104,7 @@ def resample_cube(cubemap: torch.Tensor, *, size: int, rotate: float = 0.0) -> t
     return total / areas.sum(dim=(1, 3))[..., None]
 
 
-def _shrink(cubemap: torch.Tensor, *, at_least: int) -> torch.Tensor:
+def _shrink(cubemap: Tensor, *, at_least: int) -> Tensor:
     """Average whole blocks of texels, weighted by solid angle, while faces keep at least so many columns."""
     size = cubemap.shape[1]
     factor = max((f for f in range(1, size // at_least + 1) if size % f == 0), default=1)

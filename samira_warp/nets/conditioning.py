@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 STANDARD_DEVIATION_FLOOR = 1e-4
 """Below this a condition did not vary in the training frames: it carries nothing and is set to zero."""
@@ -24,9 +24,9 @@ class Conditions(NamedTuple):
         pose: (..., 3 J) c_pose: axis-angle radians of the rig's joints, one after the other.
     """
 
-    translation: torch.Tensor
-    expression: torch.Tensor
-    pose: torch.Tensor
+    translation: Tensor
+    expression: Tensor
+    pose: Tensor
 
 
 class ConditionStatistics(nn.Module):
@@ -64,7 +64,7 @@ class ConditionStatistics(nn.Module):
             )
         )
 
-    def _standardise(self, name: str, value: torch.Tensor) -> torch.Tensor:
+    def _standardise(self, name: str, value: Tensor) -> Tensor:
         limit = getattr(self, f"{name}_limit")
         return ((value - getattr(self, f"{name}_mean")) * getattr(self, f"{name}_scale")).clamp(-limit, limit)
 
@@ -78,7 +78,7 @@ class AdaptiveInstanceNorm(nn.Module):
             nn.Linear(condition_size, hidden), nn.SiLU(), nn.Linear(hidden, 2 * channels)
         )
 
-    def forward(self, features: torch.Tensor, condition: torch.Tensor) -> torch.Tensor:
+    def forward(self, features: Tensor, condition: Tensor) -> Tensor:
         """Apply to (1, C, H, W) features with a (D,) condition."""
         scale, shift = self.affine(condition).view(2, 1, -1, 1, 1)
         return nn.functional.instance_norm(features) * (1.0 + scale) + shift

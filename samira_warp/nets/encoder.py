@@ -8,7 +8,7 @@ import urllib.request
 from pathlib import Path
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from samira_warp.support.errors import UserError
 
@@ -32,8 +32,8 @@ RANDOM_ENCODER = "random"
 
 @torch.no_grad()
 def encode_reference(
-    image: torch.Tensor, *, encoder: str = DEFAULT_ENCODER, levels: int = 3
-) -> tuple[list[torch.Tensor], str]:
+    image: Tensor, *, encoder: str = DEFAULT_ENCODER, levels: int = 3
+) -> tuple[list[Tensor], str]:
     """Multi-level features {F_l^img} of the reference image.
 
     Args:
@@ -56,8 +56,9 @@ def encode_reference(
 
 
 def _load_backbone(encoder: str, levels: int) -> tuple[nn.Module, str]:
-    """The backbone and its name; random features stand in for the default one where it cannot be had, and for
-    no other.
+    """The backbone and its name.
+
+    Random features stand in for the default one where it cannot be had, and for no other.
     """
     with torch.random.fork_rng(devices=[]):
         if encoder == RANDOM_ENCODER:

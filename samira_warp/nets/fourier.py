@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import torch
+from torch import Tensor
 
 
-def fourier_features(values: torch.Tensor, *, bands: int) -> torch.Tensor:
+def fourier_features(values: Tensor, *, bands: int) -> Tensor:
     """Append sines and cosines of octave-spaced frequencies to a map.
 
     Args:

@@ -1,11 +1,9 @@
-"""Semantic-adaptive residual modulation over disjoint UV masks (Eqs. region_modulation and
-region_feature).
-"""
+"""Semantic-adaptive residual modulation over disjoint UV masks: Eqs. region_modulation, region_feature."""
 
 from __future__ import annotations
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 
 class RegionModulators(nn.Module):
@@ -16,7 +14,7 @@ class RegionModulators(nn.Module):
     S_k, without a copy of the input for every region.
     """
 
-    def __init__(self, in_channels: int, channels: int, *, masks: torch.Tensor, shared: bool = False) -> None:
+    def __init__(self, in_channels: int, channels: int, *, masks: Tensor, shared: bool = False) -> None:
         """Make the modulators.
 
         Args:
@@ -38,7 +36,7 @@ class RegionModulators(nn.Module):
         self.blend = nn.Conv2d(channels, channels, 1)
         _start_as_binomial(self.smooth)
 
-    def forward(self, features: torch.Tensor) -> torch.Tensor:
+    def forward(self, features: Tensor) -> Tensor:
         """F_sem (1, C, H, W) of [F_sh, F_d] (1, C_in, H, W)."""
         height, width = features.shape[-2:]
         projected = self.project(features).view(

@@ -1,5 +1,6 @@
-"""The semantic-adaptive motion network: UV displacement, reference appearance and head parameters to a UV
-residual map.
+"""The semantic-adaptive motion network.
+
+UV displacement, reference appearance and head parameters go in, a UV residual map comes out.
 """
 
 from __future__ import annotations
@@ -7,7 +8,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import torch
-from torch import nn
+from torch import Tensor, nn
 
 from samira_warp.nets.conditioning import AdaptiveInstanceNorm, Conditions
 from samira_warp.nets.fourier import fourier_channels, fourier_features
@@ -41,17 +42,18 @@ class MotionSettings:
 
 
 class MotionNetwork(nn.Module):
-    """Eqs. uv_geom_feat to dynamic_map. The last layer starts at zero, so the residual starts at exactly
-    zero.
+    """Eqs. uv_geom_feat to dynamic_map.
+
+    The last layer starts at zero, so the residual starts at exactly zero.
     """
 
     def __init__(
         self,
         settings: MotionSettings,
         *,
-        reference_positions: torch.Tensor,
-        image_features: list[torch.Tensor],
-        masks: torch.Tensor,
+        reference_positions: Tensor,
+        image_features: list[Tensor],
+        masks: Tensor,
         expression_size: int,
         pose_size: int,
     ) -> None:
@@ -98,7 +100,7 @@ class MotionNetwork(nn.Module):
         nn.init.zeros_(self.residual.weight)
         nn.init.zeros_(self.residual.bias)
 
-    def forward(self, displacement: torch.Tensor, conditions: Conditions) -> torch.Tensor:
+    def forward(self, displacement: Tensor, conditions: Conditions) -> Tensor:
         """The UV residual map A_uv of one frame.
 
         Args:
@@ -118,11 +120,12 @@ class MotionNetwork(nn.Module):
         decoded = nn.functional.silu(self.decode(torch.cat([semantic, shared], dim=1)))
         return self.residual(decoded)[0]
 
-    def _shared_feature(self, position: torch.Tensor, conditions: Conditions) -> torch.Tensor:
-        """F_sh (Eqs. uv_gate to shared_uv_feature), from coarse to fine: coarse <- pose, middle <-
-        expression, fine <- translation.
+    def _shared_feature(self, position: Tensor, conditions: Conditions) -> Tensor:
+        """F_sh (Eqs. uv_gate to shared_uv_feature), from coarse to fine.
+
+        Pose gates the coarse level, expression the middle one, translation the fine one.
         """
-        fused: torch.Tensor | None = None
+        fused: Tensor | None = None
         for level in reversed(range(len(self.lateral))):
             image = self.lateral[level](getattr(self, f"image_features_{level}"))
             injected = image + torch.sigmoid(self.gates[level]) * _resize(position, image)
@@ -132,7 +135,7 @@ class MotionNetwork(nn.Module):
         return nn.functional.silu(self.shared(torch.cat([_resize(fused, position), position], dim=1)))
 
 
-def _resize(features: torch.Tensor, like: torch.Tensor) -> torch.Tensor:
+def _resize(features: Tensor, like: Tensor) -> Tensor:
     """Bilinear, area-averaged where it shrinks: R_l of Eq. uv_gate."""
     size = like.shape[-2:]
     if features.shape[-2:] == size:

@@ -16,8 +16,9 @@ from samira_warp.support.errors import UserError
 CHECKPOINT = "weights/albedo/checkpoints/last.ckpt"
 
 INSTALL = (
-    "git clone https://github.com/zju3dv/IntrinsicAnything && cd IntrinsicAnything && pip install -r requirements.txt && huggingface-cli "
-    f"download --repo-type space --local-dir . LittleFrog/IntrinsicAnything {CHECKPOINT}"
+    "git clone https://github.com/zju3dv/IntrinsicAnything && cd IntrinsicAnything "
+    "&& pip install -r requirements.txt && huggingface-cli download "
+    f"--repo-type space --local-dir . LittleFrog/IntrinsicAnything {CHECKPOINT}"
 )
 
 

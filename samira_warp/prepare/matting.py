@@ -24,7 +24,10 @@ REPOSITORY = "PeterL1n/RobustVideoMatting:53d74c6"
 VARIANTS = {"cuda": "resnet50", "cpu": "mobilenetv3"}
 """The larger network is a little finer at hair, and several times as slow."""
 
-INSTALL = "pip install torchvision, of your torch's build (https://pytorch.org), and run this once with access to github.com"
+INSTALL = (
+    "pip install torchvision, of your torch's build (https://pytorch.org), "
+    "and run this once with access to github.com"
+)
 
 WARM_UP = 10
 """Pictures that the recurrent network sees before the first whose matte counts, as VHAP has it: it begins
@@ -62,7 +65,8 @@ def load_matting(device: DeviceName) -> Matte:
         network = torch.hub.load(
             REPOSITORY, VARIANTS[chosen.type], trust_repo=True, skip_validation=True, verbose=False
         )
-    except Exception as fault:  # a missing network, a broken torchvision, another repository's code: all end in the same advice
+    except Exception as fault:
+        # A missing network, a broken torchvision, another repository's code: all end in the same advice.
         raise MattingMissing(" ".join(f"{type(fault).__name__}: {fault}".split())) from fault
     network = network.eval().to(chosen)
 

@@ -40,8 +40,9 @@ CHANGES = {
 
 
 def prepare(config: PrepareConfig) -> Path:
-    """Run every stage whose output is not there, and say what could not be run and what the avatar loses by
-    it.
+    """Run every stage whose output is not there.
+
+    What could not be run is said, and what the avatar loses by it.
 
     Returns:
         The dataset's folder.
@@ -103,9 +104,8 @@ class _Preparation:
             self._begin(stage)
             crop, by = (asked, "--crop") if asked is not None else self._head()
             stage.finish({"crop": list(crop), "by": by})
-            _say(
-                f"the square of {crop.side} pixels at {crop.x},{crop.y} of {self.facts.width} x {self.facts.height} is kept, by {by}"
-            )
+            whole = f"{self.facts.width} x {self.facts.height}"
+            _say(f"the square of {crop.side} pixels at {crop.x},{crop.y} of {whole} is kept, by {by}")
         return stage
 
     def frames(self, cropped: Stage) -> Stage:
@@ -134,7 +134,8 @@ class _Preparation:
             stage.finish({})
         if method == NOTHING:
             _say(
-                "no mattes: whatever is behind the head becomes part of the avatar; --mattes DIR takes another program's"
+                "no mattes: whatever is behind the head becomes part of the avatar; "
+                "--mattes DIR takes another program's"
             )
         return stage
 
@@ -167,9 +168,12 @@ class _Preparation:
         if given is None:
             if not pictures_of(target):
                 _say(
-                    "no --albedo: how much of the brightness is the skin's stays a guess, and so do the colours of a relit avatar. "
-                    f"IntrinsicAnything estimates albedo ({albedo.INSTALL}; then {albedo.command(dataset, self.root / 'albedo')}; then "
-                    f"this again with --albedo {self.root / 'albedo'}), and so do other intrinsic methods"
+                    "no --albedo: how much of the brightness is the skin's stays a guess, "
+                    "and so do the colours of a relit avatar. "
+                    f"IntrinsicAnything estimates albedo ({albedo.INSTALL}; "
+                    f"then {albedo.command(dataset, self.root / 'albedo')}; "
+                    f"then this again with --albedo {self.root / 'albedo'}), "
+                    "and so do other intrinsic methods"
                 )
             return
         stage = self._stage("albedo", dataset=exported.key(), folder=folder_identity(pictures_of(given)))
@@ -233,9 +237,7 @@ class _Preparation:
         )
 
     def _network(self) -> matting.Matte | None:
-        """Robust Video Matting, fetched when it is first asked for; None, said once, where it cannot be
-        had.
-        """
+        """Robust Video Matting, fetched when it is first asked for; None, said once, where there is none."""
         if self._matte is None:
             try:
                 self._matte = matting.load_matting(self.config.device)

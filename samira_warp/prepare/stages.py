@@ -1,5 +1,6 @@
-"""Which stages of a preparation are done, from what: one small file a stage, written when its output is
-whole.
+"""Which stages of a preparation are done, from what.
+
+One small file a stage, written when its output is whole.
 """
 
 from __future__ import annotations
@@ -63,8 +64,9 @@ class Stage:
         )
 
     def begin(self, *outputs: Path) -> None:
-        """Go on with what was begun with these inputs, or clear the outputs for a new start; later stages
-        have to follow.
+        """Go on with what was begun with these inputs, or clear the outputs for a new start.
+
+        Later stages have to follow.
 
         Args:
             outputs: Files and folders of this stage alone.

@@ -1,6 +1,4 @@
-"""VHAP, called by its own command line: it needs an environment of its own, and is no part of this
-project.
-"""
+"""VHAP, called by its own command line: it needs an environment of its own, and is no part of this one."""
 
 from __future__ import annotations
 
@@ -19,8 +17,9 @@ from samira_warp.data.pictures import files_of
 from samira_warp.support.errors import UserError
 
 INSTALL = (
-    "git clone https://github.com/ShenhanQian/VHAP && conda create -n VHAP -y python=3.10 && conda run -n VHAP "
-    "pip install torch torchvision --index-url https://download.pytorch.org/whl/cu121 && conda run -n VHAP pip install -e VHAP"
+    "git clone https://github.com/ShenhanQian/VHAP && conda create -n VHAP -y python=3.10 "
+    "&& conda run -n VHAP pip install torch torchvision --index-url https://download.pytorch.org/whl/cu121 "
+    "&& conda run -n VHAP pip install -e VHAP"
 )
 
 TRACK, EXPORT = "vhap/track.py", "vhap/export_as_nerf_dataset.py"

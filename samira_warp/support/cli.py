@@ -1,5 +1,6 @@
-"""What every verb's command line shares: typed options, and one line instead of a traceback for a user's
-mistake.
+"""What every verb's command line shares.
+
+Typed options, and one line instead of a traceback for a user's mistake.
 """
 
 from __future__ import annotations
@@ -56,8 +57,9 @@ def run(
 
 
 def _parse(config_type: type[Config], program: str, arguments: Sequence[str] | None) -> Config:
-    """The options as ``config_type``; a wrong one ends the process with status 2, and with one line where
-    tyro draws a box.
+    """The options as ``config_type``.
+
+    A wrong one ends the process with status 2, and with one line where tyro draws a box.
     """
     said = io.StringIO()
     try:

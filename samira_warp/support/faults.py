@@ -1,9 +1,8 @@
-"""Going on after a user's mistake, to find the next one: for reading what has many parts, each of which may
-be at fault on its own.
+"""Going on after a user's mistake, to find the next one.
 
-Readers read their parts by `each`, `all_of` and `unless_at_fault`. Elsewhere these raise the first fault;
-within `collected_faults` they keep it and go on. So the same code says what is wrong, whether the first fault
-is wanted or every one.
+For reading what has many parts, each of which may be at fault on its own. Readers read their parts by `each`,
+`all_of` and `unless_at_fault`. Elsewhere these raise the first fault; within `collected_faults` they keep it
+and go on. So the same code says what is wrong, whether the first fault is wanted or every one.
 """
 
 from __future__ import annotations
@@ -24,8 +23,9 @@ _collected: ContextVar[list[UserError] | None] = ContextVar("collected faults", 
 
 @contextlib.contextmanager
 def collected_faults() -> Iterator[list[UserError]]:
-    """A context that keeps the faults of single parts in a list, in order, and ends with a fault after which
-    nothing can go on.
+    """A context that keeps the faults of single parts in a list, in order.
+
+    It ends with a fault after which nothing can go on.
     """
     faults: list[UserError] = []
     token = _collected.set(faults)
@@ -72,8 +72,9 @@ def unless_at_fault(read: Callable[[], Result], *, otherwise: Result) -> Result:
 
 
 def _tried(reads: Iterable[Callable[[], Result]]) -> tuple[list[Result], UserError | None]:
-    """Results of the reads without fault, and the last fault; all are kept. Where none are to be kept, the
-    first is raised.
+    """Results of the reads without fault, and the last fault; all are kept.
+
+    Where none are to be kept, the first is raised.
     """
     results: list[Result] = []
     last: UserError | None = None

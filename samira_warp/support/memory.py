@@ -13,12 +13,12 @@ _KEPT = 1 << 30
 
 
 def keep_freed_memory() -> None:
-    """Let glibc keep up to a gigabyte of freed memory for the next request, instead of giving it back to the
-    system at once.
+    """Let glibc keep up to a gigabyte of freed memory for the next request.
 
-    Every step and frame asks for the same megabytes again, and each page that comes back from the system
-    costs a page fault: a quarter of the time of projection and binning at 50,000 Gaussians. For a process of
-    our own only, since it holds for all of it; where there is no glibc, nothing happens.
+    Else it gives it back to the system at once. Every step and frame asks for the same megabytes again, and
+    each page that comes back from the system costs a page fault: a quarter of the time of projection and
+    binning at 50,000 Gaussians. For a process of our own only, since it holds for all of it; where there is
+    no glibc, nothing happens.
     """
     if not sys.platform.startswith("linux"):
         return

@@ -155,7 +155,8 @@ def test_every_fault_is_told(dataset, capsys):
     lines = faults(capsys, "--data", dataset)
     places = [
         *(str(dataset / file) for file in files[:2]), f"{dataset / 'transforms_train.json'}: frames[2]",
-        str(dataset / files[2]), f"{dataset / files[3]}: expr: expected finite", f"{dataset / files[3]}: expected the key jaw_pose",
+        str(dataset / files[2]),
+        f"{dataset / files[3]}: expr: expected finite", f"{dataset / files[3]}: expected the key jaw_pose",
         f"{dataset / 'fg_masks'}: expected masks that are white on the head",
     ]  # fmt: skip
     assert len(lines) == len(places)

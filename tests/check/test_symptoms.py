@@ -90,34 +90,61 @@ def upside_down(root):
 LARGE = {"v_template": times(4), "shapedirs": times(4), "posedirs": times(4)}
 # how it is broken, severity, what the line names, and what it says
 MISTAKES = {
-    "OpenCV's axes": (poses(lambda m: m @ FLIP), "fault", "transforms_*.json: poses", "behind in 6 of 6", "OpenCV's for OpenGL's"),
-    "inverted matrices": (poses(np.linalg.inv), "fault", "transforms_*.json: poses", "behind in 6 of 6", "write their inverses"),
+    "OpenCV's axes": (
+        poses(lambda m: m @ FLIP), "fault", "transforms_*.json: poses", "behind in 6 of 6",
+        "OpenCV's for OpenGL's",
+    ),
+    "inverted matrices": (
+        poses(np.linalg.inv), "fault", "transforms_*.json: poses", "behind in 6 of 6", "write their inverses",
+    ),
     "a camera that looks away": (
-        poses(lambda m: m @ np.diag([-1.0, 1.0, -1.0, 1.0])), "fault", "transforms_*.json: poses", "behind in 6 of 6", "the other way",
+        poses(lambda m: m @ np.diag([-1.0, 1.0, -1.0, 1.0])), "fault", "transforms_*.json: poses",
+        "behind in 6 of 6", "the other way",
     ),
     "a head upside down": (
-        poses(lambda m: m @ np.diag([-1.0, -1.0, 1.0, 1.0])), "fault", "transforms_*.json: poses", "upside down in 6 of 6", "180 degrees",
+        poses(lambda m: m @ np.diag([-1.0, -1.0, 1.0, 1.0])), "fault", "transforms_*.json: poses",
+        "upside down in 6 of 6", "180 degrees",
     ),
-    "a head outside": (poses(lambda m: moved(m, by=[[1.0], [0], [0], [0]])), "fault", "transforms_*.json", "outside in 6 of 6", "cropped"),
+    "a head outside": (
+        poses(lambda m: moved(m, by=[[1.0], [0], [0], [0]])), "fault", "transforms_*.json",
+        "outside in 6 of 6", "cropped",
+    ),
     "a camera four times as far": (
-        poses(lambda m: moved(m, by=[[0], [0], [3.0], [0]])), "fault", "flame_param", "a quarter as large in 6 of 6", "divide it by four",
+        poses(lambda m: moved(m, by=[[0], [0], [3.0], [0]])), "fault", "flame_param",
+        "a quarter as large in 6 of 6", "divide it by four",
     ),
     "a camera four times as near": (
-        poses(lambda m: moved(m, by=[[0], [0], [-0.75], [0]])), "fault", "flame_param", "four times as large in 6 of 6", "metres",
+        poses(lambda m: moved(m, by=[[0], [0], [-0.75], [0]])), "fault", "flame_param",
+        "four times as large in 6 of 6", "metres",
     ),
-    "a template four times as large": (template(**LARGE), "fault", "template.npz", "times too large", "divide lengths by"),
+    "a template four times as large": (
+        template(**LARGE), "fault", "template.npz", "times too large", "divide lengths by",
+    ),
     "an identity of another model": (
-        parameters(shape=lambda shape: np.array([80.0, 0.0], np.float32)), "fault", "flame_param", "times too large", "--flame",
+        parameters(shape=lambda shape: np.array([80.0, 0.0], np.float32)), "fault", "flame_param",
+        "times too large", "--flame",
     ),
-    "offsets of another model": (parameters(static_offset=torn), "fault", "flame_param", "one torn", "--flame"),
-    "a focal length as a share": (entries(lambda e: shorter(e, by=64)), "fault", "transforms_*.json: intrinsics", "2.8 and", "pixels"),
+    "offsets of another model": (
+        parameters(static_offset=torn), "fault", "flame_param", "one torn", "--flame",
+    ),
+    "a focal length as a share": (
+        entries(lambda e: shorter(e, by=64)), "fault", "transforms_*.json: intrinsics", "2.8 and", "pixels",
+    ),
     "a focal length times the width": (
-        entries(lambda e: e.update(fl_x=64 * e["fl_x"], fl_y=64 * e["fl_y"])), "fault", "intrinsics", "1.147e+04", "divide it by the width",
+        entries(lambda e: e.update(fl_x=64 * e["fl_x"], fl_y=64 * e["fl_y"])), "fault", "intrinsics",
+        "1.147e+04", "divide it by the width",
     ),
-    "a centre as a share": (entries(lambda e: e.update(cx=0.5, cy=0.5)), "fault", "intrinsics", "a centre of (0.5, 0.5)", "in pixels"),
-    "inverted masks": (pictures("fg_masks", lambda mask: 1 - mask), "fault", "fg_masks", "black on it in 6 of 6", "invert the masks"),
+    "a centre as a share": (
+        entries(lambda e: e.update(cx=0.5, cy=0.5)), "fault", "intrinsics", "a centre of (0.5, 0.5)",
+        "in pixels",
+    ),
+    "inverted masks": (
+        pictures("fg_masks", lambda mask: 1 - mask), "fault", "fg_masks", "black on it in 6 of 6",
+        "invert the masks",
+    ),
     "masks of elsewhere": (
-        pictures("fg_masks", lambda mask: np.roll(mask, 30, axis=1)), "warning", "fg_masks", "beside it in 6 of 6", "contact sheet",
+        pictures("fg_masks", lambda mask: np.roll(mask, 30, axis=1)), "warning", "fg_masks",
+        "beside it in 6 of 6", "contact sheet",
     ),
 }  # fmt: skip
 

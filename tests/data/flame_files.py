@@ -14,8 +14,9 @@ from samira_warp.head.teeth import LOWER_LIP, UPPER_LIP
 N_EXPRESSION = 100
 UVS = 5118
 MASK_SIZES = {
-    "face": 1787, "eye_region": 751, "left_ear": 588, "right_ear": 588, "left_eye_region": 287, "right_eye_region": 287, "forehead": 133,
-    "right_eyeball": 546, "left_eyeball": 546, "scalp": 489, "nose": 379, "lips": 254, "neck": 253, "boundary": 114,
+    "face": 1787, "eye_region": 751, "left_ear": 588, "right_ear": 588, "left_eye_region": 287,
+    "right_eye_region": 287, "forehead": 133, "right_eyeball": 546, "left_eyeball": 546, "scalp": 489,
+    "nose": 379, "lips": 254, "neck": 253, "boundary": 114,
 }  # fmt: skip
 
 

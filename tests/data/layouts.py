@@ -143,9 +143,11 @@ def write_vhap_tracked(film, root, *, suffix=".jpg", epoch=30, named=True):
     """VHAP's npz beside the raw pictures; its one camera is at (0, 0, 1)."""
     write_pictures(film, root / "images", suffix=suffix, masks=root / "alpha_maps", mask_suffix=".jpg")
     arrays = {
-        "rotation": film.rotation, "neck_pose": film.neck, "jaw_pose": film.jaw, "eyes_pose": film.eyes, "translation": film.translation,
+        "rotation": film.rotation, "neck_pose": film.neck, "jaw_pose": film.jaw, "eyes_pose": film.eyes,
+        "translation": film.translation,
         "expr": film.expression, "shape": film.shape, "n_processed_frames": 0, "lights": np.zeros((9, 3)),
-        "focal_length": film.focal[:1, 0] / max(film.width, film.height), "image_size": np.array([film.height, film.width]),
+        "focal_length": film.focal[:1, 0] / max(film.width, film.height),
+        "image_size": np.array([film.height, film.width]),
     }  # fmt: skip
     if named:
         arrays["timestep_id"] = np.array(film.names)
@@ -191,7 +193,8 @@ def write_metrical_tracker(film, root, *, folder="images", suffix=".png", transf
             "pp": np.zeros((1, 2)),
         }
         payload = {
-            "flame": flame, "camera": camera, "opencv": opencv, "img_size": np.array([film.height, film.width]), "frame_id": name,
+            "flame": flame, "camera": camera, "opencv": opencv,
+            "img_size": np.array([film.height, film.width]), "frame_id": name,
             "global_step": 100 * row,
         }  # fmt: skip
         torch.save(payload, root / "checkpoint" / f"{name}.frame")
@@ -227,7 +230,8 @@ def write_hravatar(film, root, *, version=1, folder="image", suffix=".png", keys
         pose[:3, 3] *= scale
         full = np.concatenate([film.rotation[row], film.neck[row], film.jaw[row], film.eyes[row]])
         entry = {
-            "expcode": [film.expression[row].tolist()], "fullposecode": [full.tolist()], "cam": [9.0, 0.0, 0.0], "world_mat": pose.tolist(),
+            "expcode": [film.expression[row].tolist()], "fullposecode": [full.tolist()],
+            "cam": [9.0, 0.0, 0.0], "world_mat": pose.tolist(),
             "translation": [film.translation[row].tolist()],
         }  # fmt: skip
         if film.eyelids is not None:
@@ -250,7 +254,8 @@ def write_imavatar(film, root, *, suffix=".png", old=False):
         pose[:, 3] *= 4.0
         full = np.concatenate([film.rotation[row], film.neck[row], film.jaw[row], film.eyes[row]])
         frames.append(
-            {"file_path": f"./image/{name}", "world_mat": pose.tolist(), "expression": film.expression[row].tolist(), "pose": full.tolist(),
+            {"file_path": f"./image/{name}", "world_mat": pose.tolist(),
+             "expression": film.expression[row].tolist(), "pose": full.tolist(),
              "bbox": [-0.5, -0.5, 0.5, 0.5], "flame_keypoints": [[0.0, 0.0]] * 70}
         )  # fmt: skip
     focal, center = film.focal[0] / size, film.center[0] / size
@@ -287,9 +292,12 @@ def write_vhap_export(film, root, *, suffix=".png"):
         np.savez(root / "flame_param" / f"{name}.npz", **values, **shared)
         pose = np.linalg.inv(film.world_to_camera[row]) @ FLIP
         entries.append(
-            {"timestep_index": row, "camera_index": 0, "file_path": f"images/{name}{suffix}", "fg_mask_path": f"fg_masks/{name}.png",
-             "flame_param_path": f"flame_param/{name}.npz", "transform_matrix": pose.tolist(), "w": film.width, "h": film.height,
-             "fl_x": film.focal[row, 0], "fl_y": film.focal[row, 1], "cx": film.center[row, 0], "cy": film.center[row, 1],
+            {"timestep_index": row, "camera_index": 0,
+             "file_path": f"images/{name}{suffix}", "fg_mask_path": f"fg_masks/{name}.png",
+             "flame_param_path": f"flame_param/{name}.npz",
+             "transform_matrix": pose.tolist(), "w": film.width, "h": film.height,
+             "fl_x": film.focal[row, 0], "fl_y": film.focal[row, 1],
+             "cx": film.center[row, 0], "cy": film.center[row, 1],
              "camera_angle_x": 2 * math.atan(film.width / (2 * film.focal[row, 0]))}
         )  # fmt: skip
     first_test = math.floor(0.7 * len(film))

@@ -6,6 +6,7 @@ import torch
 from data.tiny import tiny_template
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
+from torch import Tensor
 
 from samira_warp.head.atlas import DILATION, SOFTENING, UvAtlas
 from samira_warp.head.regions import REGIONS, response_coverage, route_faces
@@ -195,7 +196,7 @@ def test_uv_of_corners(atlas, template):
 
 def test_to_moves_every_tensor(device, atlas):
     moved = atlas.to(device)
-    tensors = [value for value in vars(moved).values() if isinstance(value, torch.Tensor)]
+    tensors = [value for value in vars(moved).values() if isinstance(value, Tensor)]
     tensors += [
         value
         for table in (moved.position_table, moved.dilation_table)
@@ -211,7 +212,7 @@ def test_two_builds_are_equal(template, atlas):
     assert all(
         torch.equal(value, getattr(again, name))
         for name, value in vars(atlas).items()
-        if isinstance(value, torch.Tensor)
+        if isinstance(value, Tensor)
     )
 
 

@@ -261,16 +261,40 @@ def test_a_file_that_is_not_flames_is_named(folder, name):
 
 
 COMPANION_FAULTS = {
-    "uvs of other faces": ("flame_uv.npz", {"vt": np.zeros((9, 2)), "ft": np.zeros((9, 3), int)}, "ft: expected the 9976 triangles"),
-    "uvs beyond": ("flame_uv.npz", {"vt": np.zeros((9, 2)), "ft": np.full((9976, 3), 9)}, "ft: expected integers from 0 to 8"),
-    "uvs of three": ("flame_uv.npz", {"vt": np.zeros((9, 3)), "ft": np.zeros((9976, 3), int)}, "vt: expected finite numbers of shape"),
-    "masks that are a list": ("FLAME_masks.pkl", [1, 2], "expected a dictionary of vertex ids by region, found list"),
-    "masks beyond": ("FLAME_masks.pkl", {"lips": np.array([5023])}, "FLAME_masks.pkl: lips: expected integers from 0 to 5022"),
+    "uvs of other faces": (
+        "flame_uv.npz", {"vt": np.zeros((9, 2)), "ft": np.zeros((9, 3), int)},
+        "ft: expected the 9976 triangles",
+    ),
+    "uvs beyond": (
+        "flame_uv.npz", {"vt": np.zeros((9, 2)), "ft": np.full((9976, 3), 9)},
+        "ft: expected integers from 0 to 8",
+    ),
+    "uvs of three": (
+        "flame_uv.npz", {"vt": np.zeros((9, 3)), "ft": np.zeros((9976, 3), int)},
+        "vt: expected finite numbers of shape",
+    ),
+    "masks that are a list": (
+        "FLAME_masks.pkl", [1, 2], "expected a dictionary of vertex ids by region, found list",
+    ),
+    "masks beyond": (
+        "FLAME_masks.pkl", {"lips": np.array([5023])},
+        "FLAME_masks.pkl: lips: expected integers from 0 to 5022",
+    ),
     "masks of words": ("FLAME_masks.pkl", {"lips": "all"}, "FLAME_masks.pkl: lips: expected an array"),
-    "eyelids of another head": ("l_eyelid.npy", np.zeros((9, 3)), "l_eyelid.npy: expected finite numbers of shape (5023, 3)"),
-    "eyelids of words": ("l_eyelid.npy", np.full((5023, 3), "a"), "l_eyelid.npy: expected finite numbers of shape (5023, 3)"),
-    "an empty mesh": ("head_template.obj", "# nothing", "head_template.obj: expected faces (f) and UV coordinates (vt), found 0 faces"),
-    "quads": ("head_template.obj", "vt 0 0\nf 1/1 2/1 3/1 4/1", "head_template.obj: line 2: expected a triangle with UV coordinates"),
+    "eyelids of another head": (
+        "l_eyelid.npy", np.zeros((9, 3)), "l_eyelid.npy: expected finite numbers of shape (5023, 3)",
+    ),
+    "eyelids of words": (
+        "l_eyelid.npy", np.full((5023, 3), "a"), "l_eyelid.npy: expected finite numbers of shape (5023, 3)",
+    ),
+    "an empty mesh": (
+        "head_template.obj", "# nothing",
+        "head_template.obj: expected faces (f) and UV coordinates (vt), found 0 faces",
+    ),
+    "quads": (
+        "head_template.obj", "vt 0 0\nf 1/1 2/1 3/1 4/1",
+        "head_template.obj: line 2: expected a triangle with UV coordinates",
+    ),
     "a mesh without uvs": ("head_template.obj", "f 1 2 3", "line 1: expected a triangle with UV coordinates"),
     "a mesh of words": ("head_template.obj", "vt 0 zero", "line 1: expected numbers after vt"),
 }  # fmt: skip

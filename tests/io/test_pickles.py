@@ -162,10 +162,12 @@ HOSTILE = {
     "no end": pickle.dumps([1, 2, 3], 2)[:-1],
     "text": b"hello",
     "nothing on the stack": b".",
-    "an array of exabytes": b"\x80\x02cnumpy.core.multiarray\n_reconstruct\ncnumpy\nndarray\nK\x00\x85U\x01b\x87R"
-    b"(K\x01\x8a\x08\xff\xff\xff\xff\xff\xff\xff\x7f\x85cnumpy\ndtype\nU\x02f8\x85R\x89U\x04abcdtb.",
-    "a dtype with fields": b"\x80\x02cnumpy.core.multiarray\n_reconstruct\ncnumpy\nndarray\nK\x00\x85U\x01b\x87R"
-    b"(K\x01K\x01\x85cnumpy\ndtype\nU\x05f8,f8\x85R\x89U\x10" + bytes(16) + b"tb.",
+    "an array of exabytes": b"\x80\x02cnumpy.core.multiarray\n_reconstruct\n"
+    b"cnumpy\nndarray\nK\x00\x85U\x01b\x87R(K\x01\x8a\x08\xff\xff\xff\xff\xff\xff\xff\x7f\x85"
+    b"cnumpy\ndtype\nU\x02f8\x85R\x89U\x04abcdtb.",
+    "a dtype with fields": b"\x80\x02cnumpy.core.multiarray\n_reconstruct\n"
+    b"cnumpy\nndarray\nK\x00\x85U\x01b\x87R(K\x01K\x01\x85"
+    b"cnumpy\ndtype\nU\x05f8,f8\x85R\x89U\x10" + bytes(16) + b"tb.",
     "a changed class": b"\x80\x02cnumpy\nndarray\nN}U\x0c__setstate__U\x01xs\x86b.",
     "a class called with itself": b"\x80\x02ccopy_reg\n_reconstructor\nccopy_reg\n_reconstructor\n\x85R.",
 }  # fmt: skip

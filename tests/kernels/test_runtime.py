@@ -101,7 +101,8 @@ def test_many_threads_may_begin_at_once():
 
         camera = Camera(torch.eye(4), 40.0, 40.0, 16.0, 16.0, 32, 32)
         means = torch.tensor([[0.0, 0.0, 1.0], [0.1, 0.1, 2.0]])
-        arguments = (means, torch.ones(2, 4), torch.full((2, 3), 0.1), torch.full((2,), 0.5), torch.ones(2, 3), camera)
+        shapes = (torch.ones(2, 4), torch.full((2, 3), 0.1), torch.full((2,), 0.5))
+        arguments = (means, *shapes, torch.ones(2, 3), camera)
         together, sums = threading.Barrier(4), []
 
         def work():
@@ -131,7 +132,8 @@ def test_a_forked_process_goes_on():
         torch.set_num_threads(2)
         camera = Camera(torch.eye(4), 40.0, 40.0, 16.0, 16.0, 32, 32)
         count = 4 * GRAIN
-        arguments = (torch.ones(count, 3), torch.ones(count, 4), torch.ones(count, 3), torch.ones(count), camera)
+        shapes = (torch.ones(count, 4), torch.ones(count, 3), torch.ones(count))
+        arguments = (torch.ones(count, 3), *shapes, camera)
         expected = project(*arguments).conics.clone()
         child = os.fork()
         if child == 0:

@@ -48,7 +48,8 @@ import numpy as np
 options = dict(zip(sys.argv[1::2], sys.argv[2::2], strict=True))
 assert set(options) == {"--data.root_folder", "--data.sequence", "--exp.output_folder"}, options
 assert Path("asset/flame/flame2023.pkl").is_file(), "not called in VHAP's folder"
-found = [path for path in Path(options["--data.root_folder"]).glob(options["--data.sequence"] + "*") if path.is_dir()]
+found = Path(options["--data.root_folder"]).glob(options["--data.sequence"] + "*")
+found = [path for path in found if path.is_dir()]
 assert len(found) == 1, found
 names = [sorted(os.listdir(found[0] / folder)) for folder in ("images", "alpha_maps")]
 assert names[0] == names[1] and all(name.endswith(".jpg") for name in names[0]), names
@@ -98,7 +99,8 @@ for number, name in enumerate(names):
     inner = {{key: of[key] * size / of["w"] for key in ("fl_x", "fl_y", "cx", "cy")}}
     frames.append({{**of, **files, **inner, "w": size, "h": size, "timestep_index": number}})
 first_test = math.floor(0.7 * len(frames))
-for part, some in {{"": frames, "_train": frames[:first_test], "_test": frames[first_test:], "_val": []}}.items():
+parts = {{"": frames, "_train": frames[:first_test], "_test": frames[first_test:], "_val": []}}
+for part, some in parts.items():
     (target / f"transforms{{part}}.json").write_text(json.dumps({{"frames": some}}))
 """
 """What was tracked is what is known of the subject: its frames in turn, at whatever size they have."""

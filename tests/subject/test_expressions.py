@@ -25,7 +25,8 @@ from samira_subject.performance import JAW, perform
 
 NAMES = sorted([*WHOLE, *(f"{name}_{side}" for name in SIDED for side in "LR")])
 SYMMETRIC = (
-    "browInnerUp", "jawForward", "mouthFunnel", "mouthPucker", "mouthRollLower", "mouthRollUpper", "mouthShrugLower", "mouthShrugUpper",
+    "browInnerUp", "jawForward", "mouthFunnel", "mouthPucker", "mouthRollLower", "mouthRollUpper",
+    "mouthShrugLower", "mouthShrugUpper",
 )  # fmt: skip
 EYELIDS = (EYE[0] + np.arange(-16.0, 15.0, 0.29), np.arange(-9.0, 9.0, 0.29))
 

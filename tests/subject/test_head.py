@@ -18,12 +18,14 @@ from samira_warp.head import Rig, read_template, save_template
 from samira_warp.head.regions import REGIONS, route_faces, route_vertices
 
 FLAME_MASKS = {
-    "face", "neck", "scalp", "boundary", "left_eyeball", "right_eyeball", "left_ear", "right_ear", "forehead", "eye_region", "nose", "lips",
+    "face", "neck", "scalp", "boundary", "left_eyeball", "right_eyeball", "left_ear", "right_ear", "forehead",
+    "eye_region", "nose", "lips",
     "left_eye_region", "right_eye_region",
 }  # fmt: skip
 RIMS = {
     "skin": 3,  # the neck's foot and what lines the two eyes
-    "left_eyeball": 1, "right_eyeball": 1, "left_ear": 1, "right_ear": 1, "teeth_upper": 1, "teeth_lower": 1, "tongue": 1,
+    "left_eyeball": 1, "right_eyeball": 1, "left_ear": 1, "right_ear": 1, "teeth_upper": 1, "teeth_lower": 1,
+    "tongue": 1,
 }  # fmt: skip
 """Open edges of each part, all of them hidden in the head but the foot."""
 
@@ -241,7 +243,10 @@ def test_an_eyeball_is_round_behind_its_cornea():
 
 
 def test_it_is_the_same_in_a_fresh_process(template):
-    script = "from samira_subject.head import build_head; print(build_head().template.hash, build_head(1).identity.tobytes().hex())"
+    script = (
+        "from samira_subject.head import build_head; "
+        "print(build_head().template.hash, build_head(1).identity.tobytes().hex())"
+    )
     done = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, text=True, timeout=300, check=True
     )

@@ -31,7 +31,8 @@ import samira_warp
 from samira_subject.cast import build_cast
 cast = build_cast(int(sys.argv[1]), texels=96)
 maps = (cast.materials.albedo, cast.materials.finish, cast.materials.resting)
-print(cast.template.hash, hashlib.sha256(b"".join(value.numpy().tobytes() for value in (*maps, cast.identity))).hexdigest())
+content = b"".join(value.numpy().tobytes() for value in (*maps, cast.identity))
+print(cast.template.hash, hashlib.sha256(content).hexdigest())
 """
 
 
