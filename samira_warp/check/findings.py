@@ -86,7 +86,8 @@ def _folder(subject: str) -> str:
 def _remedy(fault: UserError) -> str:
     """By the kind of file, and whether it is there."""
     file = _FILE.match(fault.subject)
-    suffix = Path(file["path"]).suffix.lower() if file else ""
+    path = Path(file["path"] if file else "")
+    suffix = path.suffix.lower()
     if "--flame FILE" in fault.expected:
         return "get FLAME from flame.is.tue.mpg.de and name its file with --flame"
     if _SIZED_BY_THE_HEAD.search(fault.subject) and _ANOTHER_COUNT.search(fault.expected):
@@ -97,7 +98,7 @@ def _remedy(fault: UserError) -> str:
         if "pixels as" in fault.expected:
             return "bring it to that size; pictures must not be cropped or scaled after they were tracked"
         return "copy or export the picture again, or take its frame out"
-    if suffix in (".npz", ".npy", ".frame") and "template" not in Path(file["path"]).name:
+    if suffix in (".npz", ".npy", ".frame") and "template" not in path.name:
         return "track or export this frame again, or take it out of the lists"
     if suffix == ".json":
         return "correct it there, or export the dataset again"

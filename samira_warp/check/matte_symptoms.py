@@ -40,7 +40,7 @@ class _Case(NamedTuple):
         """Whether the head lies in the matte when the camera's distance is multiplied."""
         head, matte = self.head(distance), self.matte > 0.5
         shared = np.count_nonzero(head & matte)
-        return (
+        return bool(
             shared >= _INSIDE * np.count_nonzero(head)
             and shared >= _FILLED * np.count_nonzero(head | matte) > 0
         )
@@ -55,7 +55,7 @@ class _Case(NamedTuple):
     def share_inside(self) -> float:
         """Share of the head's silhouette that is in the matte."""
         head = self.head()
-        return float(np.count_nonzero(head & (self.matte > 0.5)) / max(np.count_nonzero(head), 1))
+        return float(np.count_nonzero(head & (self.matte > 0.5)) / max(int(np.count_nonzero(head)), 1))
 
 
 class _Mistake(NamedTuple):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
@@ -82,7 +82,7 @@ def _names(folder: Path) -> Iterable[str]:
 def _decoded(frame: FrameFiles) -> list[Finding]:
     """What is wrong with one frame's files."""
     found = []
-    reads = [partial(read_rgba, frame.image_path)]
+    reads: list[Callable[[], object]] = [partial(read_rgba, frame.image_path)]
     if frame.albedo_path is not None:
         reads.append(partial(read_on_white, frame.albedo_path))
     for read in reads:

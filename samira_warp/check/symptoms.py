@@ -247,7 +247,7 @@ def _framing(sequence: Sequence, views: list[View]) -> Iterator[Finding]:
 def _inside(pixels: np.ndarray, view: View) -> np.ndarray:
     """(V,) which pixels are in the view's picture."""
     size = [view.frame.camera.width, view.frame.camera.height]
-    return ((pixels >= 0) & (pixels < size)).all(axis=1)
+    return np.all((pixels >= 0) & (pixels < size), axis=1)
 
 
 def _share(some: list[View], views: list[View]) -> str:

@@ -88,23 +88,19 @@ def evaluate_images(
         ``lpips_reason`` where lpips is None, ``regions`` with averages by region, ``frames`` with scores by
         frame name, and ``protocol``.
     """
-    reason = lpips if isinstance(lpips, str) else None
+    distance, reason = (None, lpips) if isinstance(lpips, str) else (lpips, None)
     totals, region_totals = _Totals(), {name: _Totals() for name in (region_names or {}).values()}
     frames: dict[str, Any] = {}
     with torch.no_grad():
         for pair in pairs:
-            if reason is None and min(pair.truth.shape[:2]) < SMALLEST_IMAGE:
-                reason = f"images are smaller than {SMALLEST_IMAGE} pixels"
-            scores = (
-                _score_normals(pair)
-                if layer == "normal"
-                else _score_image(pair, layer, lpips if reason is None else None)
-            )
-            scores = {name: _finite(score) for name, score in scores.items()}
+            if distance is not None and min(pair.truth.shape[:2]) < SMALLEST_IMAGE:
+                distance, reason = None, f"images are smaller than {SMALLEST_IMAGE} pixels"
+            tensors = _score_normals(pair) if layer == "normal" else _score_image(pair, layer, distance)
+            scores = {name: _finite(score) for name, score in tensors.items()}
             totals.add(scores)
             frames[pair.name] = scores
             if region_names is not None and pair.labels is not None:
-                frames[pair.name]["regions"] = _score_regions(pair, layer, region_names)
+                frames[pair.name]["regions"] = _score_regions(pair, pair.labels, layer, region_names)
                 for name, region_scores in frames[pair.name]["regions"].items():
                     region_totals[name].add(region_scores)
     result: dict[str, Any] = dict(totals.means())
@@ -138,16 +134,16 @@ def _score_image(pair: ImagePair, layer: Layer, lpips: Lpips | None) -> dict[str
     return scores
 
 
-def _score_normals(pair: ImagePair) -> dict[str, Tensor]:
+def _score_normals(pair: ImagePair) -> dict[str, Tensor | None]:
     mask = torch.ones_like(pair.truth[..., 0]) if pair.mask is None else pair.mask
     return {"normal_angle": metrics.normal_angle(pair.prediction, pair.truth, mask)}
 
 
 def _score_regions(
-    pair: ImagePair, layer: Layer, names: Mapping[int, str]
+    pair: ImagePair, labels: Tensor, layer: Layer, names: Mapping[int, str]
 ) -> dict[str, dict[str, float | None]]:
     """Scores over each label's pixels, for the labels that the frame shows."""
-    shown = {name: where for label, name in names.items() if (where := pair.labels == label).any()}
+    shown = {name: where for label, name in names.items() if (where := labels == label).any()}
     if layer == "normal":
         angles = metrics.normal_angle_map(pair.prediction, pair.truth)
         return {name: {"normal_angle": _finite(angles[where].mean())} for name, where in shown.items()}

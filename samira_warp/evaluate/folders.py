@@ -52,6 +52,7 @@ def find_comparisons(
             raise UserError(
                 folder, expected="a folder of images", found="a file" if folder.exists() else "no such folder"
             )
+    truths: dict[str, Path | None]
     if truth is None:
         truths = {listing.frames[index].name: None for index in listing.selected}
     else:

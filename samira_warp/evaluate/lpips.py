@@ -90,6 +90,9 @@ class Lpips(nn.Module):
         head: LPIPS v0.1's linear weights (keys ``linN.model.1.weight``).
     """
 
+    shift: Tensor
+    scale: Tensor
+
     def __init__(self, net: LpipsNet, backbone: Mapping[str, Tensor], head: Mapping[str, Tensor]) -> None:
         super().__init__()
         self.net = net
@@ -137,10 +140,8 @@ class Lpips(nn.Module):
         for convolution in self.convolutions:
             if convolution.pool:
                 x = torch.nn.functional.max_pool2d(x, convolution.pool, stride=2)
-            weight, bias = (
-                getattr(self, f"weight_{convolution.index}"),
-                getattr(self, f"bias_{convolution.index}"),
-            )
+            weight = getattr(self, f"weight_{convolution.index}")
+            bias = getattr(self, f"bias_{convolution.index}")
             # padding that keeps the size, but for AlexNet's first layer, which torchvision pads by 2
             padding = 2 if convolution.kernel == 11 else convolution.kernel // 2
             x = torch.relu(

@@ -62,8 +62,8 @@ def ssim_map(prediction: Tensor, truth: Tensor) -> Tensor:
     Returns:
         (H, W) mean over the channels; differentiable.
     """
-    pair = (image.permute(2, 0, 1)[None] for image in (prediction, truth))
-    return kornia.metrics.ssim(*pair, window_size=11, max_val=1.0)[0].mean(dim=0)
+    ours, theirs = (image.permute(2, 0, 1)[None] for image in (prediction, truth))
+    return kornia.metrics.ssim(ours, theirs, window_size=11, max_val=1.0)[0].mean(dim=0)
 
 
 def ssim(prediction: Tensor, truth: Tensor) -> Tensor:

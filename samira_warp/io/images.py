@@ -222,7 +222,10 @@ def text_line(text: str, *, width: int, height: int) -> np.ndarray:
     oiio.ImageBufAlgo.render_text(
         strip, width // 2, baseline, shown, font_size, "", (0.0, 0.0, 0.0), "center", "baseline"
     )
-    return strip.get_pixels(oiio.FLOAT)
+    pixels = strip.get_pixels(oiio.FLOAT)
+    if pixels is None:
+        raise RuntimeError(strip.geterror())
+    return pixels
 
 
 def _box_weights(old: int, new: int, dtype: np.dtype) -> np.ndarray:
@@ -287,7 +290,7 @@ def _open(path: Path, *, whole: bool) -> oiio.ImageInput:
     return image
 
 
-def _decode(image: oiio.ImageInput, path: Path, pixel_type: object) -> np.ndarray:
+def _decode(image: oiio.ImageInput, path: Path, pixel_type: oiio.BASETYPE) -> np.ndarray:
     """(H, W, C) pixels of an open image, which is closed."""
     pixels = image.read_image(pixel_type)
     fault = image.geterror()
@@ -298,7 +301,7 @@ def _decode(image: oiio.ImageInput, path: Path, pixel_type: object) -> np.ndarra
     return pixels
 
 
-def _write(path: str | Path, array: np.ndarray, pixel_type: object) -> None:
+def _write(path: str | Path, array: np.ndarray, pixel_type: oiio.BASETYPE) -> None:
     path = Path(path)
     pixels = np.ascontiguousarray(array if array.ndim == 3 else array[..., None])
     height, width, channels = pixels.shape

@@ -186,7 +186,7 @@ def _survey(content: bytes) -> None:
             raise ValueError(f"more than {MOST_NUMBERS} numbers")
         if operation.name in _FORBIDDEN:
             raise ValueError(f"the operation {operation.name}")
-        if operation.name in _PUTS and int(argument) > MOST_OPERATIONS:
+        if operation.name in _PUTS and int(argument or 0) > MOST_OPERATIONS:
             raise ValueError(f"a memo of {argument} entries")
 
 
@@ -229,8 +229,8 @@ class _Dtype(_Inert):
         if arguments:
             self.code = arguments[0]
 
-    def __setstate__(self, state: object) -> None:
-        self.order = state[1]  # type: ignore[index]
+    def __setstate__(self, state: Any) -> None:
+        self.order = state[1]
 
     @property
     def numpy(self) -> np.dtype:
@@ -249,8 +249,8 @@ class _StoredArray(_Inert):
     values: np.ndarray | None = None
     items: list[object] | None = None
 
-    def __setstate__(self, state: object) -> None:
-        _, shape, dtype, fortran, data = state  # type: ignore[misc]
+    def __setstate__(self, state: Any) -> None:
+        _, shape, dtype, fortran, data = state
         if not isinstance(dtype, _Dtype):
             raise ValueError("an array without a dtype")
         if isinstance(data, list):

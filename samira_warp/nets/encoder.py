@@ -46,9 +46,9 @@ def encode_reference(
         for the record.
     """
     backbone, origin = _load_backbone(encoder, levels)
-    options = {"dtype": image.dtype, "device": image.device}
     mean, deviation = (
-        torch.tensor(values, **options).view(1, 3, 1, 1) for values in (IMAGE_MEAN, IMAGE_DEVIATION)
+        torch.tensor(values, dtype=image.dtype, device=image.device).view(1, 3, 1, 1)
+        for values in (IMAGE_MEAN, IMAGE_DEVIATION)
     )
     pixels = (image.permute(2, 0, 1)[None] - mean) / deviation
     features = backbone.to(image.device).eval()(pixels).feature_maps
@@ -117,7 +117,7 @@ def _hub_answers(encoder: str) -> bool:
 def _random_backbone(levels: int) -> nn.Module:
     from transformers import ResNetBackbone, ResNetConfig
 
-    config = ResNetConfig(
+    config = ResNetConfig(  # type: ignore[call-arg]  # out_features is taken by name, and not declared
         embedding_size=64,
         hidden_sizes=[64, 128, 256, 512],
         depths=[2, 2, 2, 2],

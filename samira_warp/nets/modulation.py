@@ -14,6 +14,8 @@ class RegionModulators(nn.Module):
     S_k, without a copy of the input for every region.
     """
 
+    masks: Tensor
+
     def __init__(self, in_channels: int, channels: int, *, masks: Tensor, shared: bool = False) -> None:
         """Make the modulators.
 

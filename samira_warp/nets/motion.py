@@ -47,6 +47,8 @@ class MotionNetwork(nn.Module):
     The last layer starts at zero, so the residual starts at exactly zero.
     """
 
+    reference: Tensor
+
     def __init__(
         self,
         settings: MotionSettings,
@@ -97,8 +99,8 @@ class MotionNetwork(nn.Module):
         )
         self.decode = nn.Conv2d(settings.region_width + width, width, 3, padding=1)
         self.residual = nn.Conv2d(width, RESIDUAL_CHANNELS, 1)
-        nn.init.zeros_(self.residual.weight)
-        nn.init.zeros_(self.residual.bias)
+        for parameter in self.residual.parameters():
+            nn.init.zeros_(parameter)
 
     def forward(self, displacement: Tensor, conditions: Conditions) -> Tensor:
         """The UV residual map A_uv of one frame.
@@ -123,23 +125,28 @@ class MotionNetwork(nn.Module):
     def _shared_feature(self, position: Tensor, conditions: Conditions) -> Tensor:
         """F_sh (Eqs. uv_gate to shared_uv_feature), from coarse to fine.
 
-        Pose gates the coarse level, expression the middle one, translation the fine one.
+        Pose conditions the coarse level, expression the middle one, translation the fine one.
         """
-        fused: Tensor | None = None
-        for level in reversed(range(len(self.lateral))):
-            image = self.lateral[level](getattr(self, f"image_features_{level}"))
-            injected = image + torch.sigmoid(self.gates[level]) * _resize(position, image)
-            features = self.adain[level](injected, conditions[level])
-            features = features if fused is None else features + _resize(fused, features)
-            fused = nn.functional.silu(self.fuse[level](features))
+        *finer, coarsest = range(len(self.lateral))
+        features = self._level_feature(coarsest, position, conditions)
+        fused = nn.functional.silu(self.fuse[coarsest](features))
+        for level in reversed(finer):
+            features = self._level_feature(level, position, conditions)
+            fused = nn.functional.silu(self.fuse[level](features + _resize(fused, features)))
         return nn.functional.silu(self.shared(torch.cat([_resize(fused, position), position], dim=1)))
+
+    def _level_feature(self, level: int, position: Tensor, conditions: Conditions) -> Tensor:
+        """One level of the image's features, with the position let in and the condition applied."""
+        image = self.lateral[level](getattr(self, f"image_features_{level}"))
+        injected = image + torch.sigmoid(self.gates[level]) * _resize(position, image)
+        return self.adain[level](injected, conditions[level])
 
 
 def _resize(features: Tensor, like: Tensor) -> Tensor:
     """Bilinear, area-averaged where it shrinks: R_l of Eq. uv_gate."""
-    size = like.shape[-2:]
-    if features.shape[-2:] == size:
+    height, width = like.shape[-2:]
+    if features.shape[-2:] == (height, width):
         return features
-    if features.shape[-1] > size[-1]:
-        return nn.functional.adaptive_avg_pool2d(features, size)
-    return nn.functional.interpolate(features, size=size, mode="bilinear", align_corners=False)
+    if features.shape[-1] > width:
+        return nn.functional.adaptive_avg_pool2d(features, (height, width))
+    return nn.functional.interpolate(features, size=(height, width), mode="bilinear", align_corners=False)

@@ -114,9 +114,15 @@ class _Preparation:
         found = stage.done()
         if found is None or found["count"] != len(pictures_of(self.images)):
             self._begin(stage, self.root / "film")
-            crop = Crop(*cropped.done()["crop"])
-            options = {"crop": crop, "size": self.config.size, "fps": self.config.fps}
-            stage.finish({"count": write_frames(self.config.video, self.facts, self.images, **options)})
+            count = write_frames(
+                self.config.video,
+                self.facts,
+                self.images,
+                crop=Crop(*cropped.result()["crop"]),
+                size=self.config.size,
+                fps=self.config.fps,
+            )
+            stage.finish({"count": count})
         return stage
 
     def mattes(self, frames: Stage) -> Stage:
@@ -125,10 +131,11 @@ class _Preparation:
         stage, pictures = self._stage("mattes", frames=frames.key(), method=method), pictures_of(self.images)
         if stage.done() is None or not self._are_whole(frames):
             self._begin(stage, self.alpha_maps)
+            network = self._network() if method == NETWORK else None
             if self.config.mattes is not None:
                 matting.copy_mattes(self.config.mattes, pictures, self.alpha_maps)
-            elif method == NETWORK:
-                matting.write_mattes(self._network(), pictures, self.alpha_maps)
+            elif network is not None:
+                matting.write_mattes(network, pictures, self.alpha_maps)
             else:
                 matting.write_opaque(pictures, self.alpha_maps)
             stage.finish({})
@@ -228,7 +235,7 @@ class _Preparation:
         return NOTHING if self._network() is None else NETWORK
 
     def _are_whole(self, frames: Stage) -> bool:
-        return len(pictures_of(self.alpha_maps)) == frames.done()["count"]
+        return len(pictures_of(self.alpha_maps)) == frames.result()["count"]
 
     def _has_mattes(self) -> bool:
         return (

@@ -54,6 +54,13 @@ class Stage:
         """Whether the stage was begun before, with other inputs."""
         return self._record().get("inputs", self.inputs) != self.inputs
 
+    def result(self) -> dict[str, Any]:
+        """What the stage found: it is done with these inputs."""
+        found = self.done()
+        if found is None:
+            raise RuntimeError(f"the stage {self.name} is asked for its result before it is done")
+        return found
+
     def finished(self) -> dict[str, Any]:
         """The inputs that the stage was last finished with, whatever they were; empty if it never was."""
         record = self._record()

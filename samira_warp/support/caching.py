@@ -31,6 +31,6 @@ def cached_tensors(
             with torch.inference_mode(False), torch.no_grad():
                 return build(*args, **kwargs)
 
-        return build_normally
+        return build_normally  # type: ignore[return-value]  # typeshed's lru_cache loses the parameters
 
     return decorate
