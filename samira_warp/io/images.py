@@ -2,26 +2,19 @@
 
 from __future__ import annotations
 
-import struct
-import zlib
 from pathlib import Path
-from typing import BinaryIO, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813 - the name its own documentation uses
 
+from samira_warp.io.decoding import decode, opened, picture_size, utf8_name
+from samira_warp.io.whole import check_whole
 from samira_warp.support.errors import UserError
 
 _FONT_SHARE, _BASELINE = 0.75, 0.75
 """Size of letters in a line of text, and where they stand, as shares of its height: room for what hangs
 below."""
-
-_FLOATS = (oiio.HALF, oiio.FLOAT, oiio.DOUBLE)
-
-_LYING = (5, 6, 7, 8)
-"""EXIF's orientations of pictures whose rows are stored as columns."""
-
-_PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
 
 
 class Channels(NamedTuple):
@@ -45,11 +38,8 @@ def image_size(path: Path) -> tuple[int, int]:
     Raises:
         UserError: The file is missing or its header is not an image's.
     """
-    image = _open(path, whole=False)
-    spec = image.spec()
-    image.close()
-    lying = _orientation(spec) in _LYING
-    return (spec.height, spec.width) if lying else (spec.width, spec.height)
+    with opened(path, whole=False) as image:
+        return picture_size(image, path)
 
 
 def is_linear(path: Path) -> bool:
@@ -58,10 +48,13 @@ def is_linear(path: Path) -> bool:
     Raises:
         UserError: The file is missing or its header is not an image's.
     """
-    image = _open(path, whole=False)
-    kind = image.spec().format.basetype
-    image.close()
-    return kind in _FLOATS
+    with opened(path, whole=False) as image:
+        return holds_floats(image.spec())
+
+
+def holds_floats(spec: oiio.ImageSpec) -> bool:
+    """Whether the pixels that a header describes are floating-point values."""
+    return spec.format.basetype in (oiio.HALF, oiio.FLOAT, oiio.DOUBLE)
 
 
 def read_image(path: Path, *, channels: Literal[1, 3]) -> np.ndarray:
@@ -92,11 +85,10 @@ def read_channels(path: Path) -> Channels:
     Raises:
         UserError: The file is missing or cannot be decoded.
     """
-    image = _open(path, whole=True)
-    spec = image.spec()
-    names, kind = tuple(spec.channelnames), spec.format
-    full_scale = 0 if kind.basetype in _FLOATS else 2 ** (8 * kind.basesize()) - 1
-    return Channels(_upright(_decode(image, path, oiio.FLOAT), spec), names, full_scale)
+    with opened(path, whole=True) as image:
+        spec = image.spec()
+        full_scale = 0 if holds_floats(spec) else 2 ** (8 * spec.format.basesize()) - 1
+        return Channels(decode(image, path, oiio.FLOAT), tuple(spec.channelnames), full_scale)
 
 
 def read_rgba(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
@@ -136,13 +128,13 @@ def read_labels(path: Path) -> np.ndarray:
     Raises:
         UserError: The file is missing, cannot be decoded, or is not 8-bit grey.
     """
-    image = _open(path, whole=True)
-    spec = image.spec()
-    if spec.nchannels != 1 or spec.format != oiio.TypeDesc(oiio.UINT8):
-        raise UserError(
-            path, expected="8-bit grey labels", found=f"{spec.nchannels} channels of {spec.format}"
-        )
-    return _decode(image, path, oiio.UINT8)[..., 0]
+    with opened(path, whole=True) as image:
+        spec = image.spec()
+        if spec.nchannels != 1 or spec.format != oiio.TypeDesc(oiio.UINT8):
+            raise UserError(
+                path, expected="8-bit grey labels", found=f"{spec.nchannels} channels of {spec.format}"
+            )
+        return decode(image, path, oiio.UINT8)[..., 0]
 
 
 def write_png(path: Path, array: np.ndarray) -> None:
@@ -211,6 +203,8 @@ def text_line(text: str, *, width: int, height: int) -> np.ndarray:
 
     What is too long loses its middle.
     """
+    # The name of a file may hold bytes that the locale does not know.
+    text = text.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
     strip = oiio.ImageBuf(oiio.ImageSpec(width, height, 3, oiio.FLOAT))
     oiio.ImageBufAlgo.fill(strip, (1.0, 1.0, 1.0))
     font_size = max(round(_FONT_SHARE * height), 1)
@@ -238,9 +232,9 @@ def _box_weights(old: int, new: int, dtype: np.dtype) -> np.ndarray:
 
 def _read_colour_and_alpha(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
     """Straight colour (H, W, 1 or 3) and alpha (H, W) or None."""
-    image = _open(path, whole=True)
-    spec = image.spec()
-    pixels = _upright(_decode(image, path, oiio.FLOAT), spec)
+    with opened(path, whole=True) as image:
+        spec = image.spec()
+        pixels = decode(image, path, oiio.FLOAT)
     alpha = None
     if spec.alpha_channel >= 0:
         alpha = pixels[..., spec.alpha_channel]
@@ -260,58 +254,21 @@ def _straight(colour: np.ndarray, alpha: np.ndarray) -> np.ndarray:
     return np.where(covered, colour / np.where(covered, alpha[..., None], 1.0), colour).astype(np.float32)
 
 
-def _orientation(spec: oiio.ImageSpec) -> int:
-    """EXIF's number from 1 to 8; 1 is upright."""
-    number = spec.get_int_attribute("Orientation", 1)
-    return number if 1 <= number <= 8 else 1
-
-
-def _upright(pixels: np.ndarray, spec: oiio.ImageSpec) -> np.ndarray:
-    """Pixels (H, W, C) as they are shown: cameras store what they see and how they were held."""
-    number = _orientation(spec)
-    if number in _LYING:
-        pixels = pixels.swapaxes(0, 1)
-    # which of the eight mirror left and right, and top and bottom, once rows are rows
-    x, y = number in (2, 3, 6, 7), number in (3, 4, 7, 8)
-    return np.ascontiguousarray(pixels[:: -1 if y else 1, :: -1 if x else 1])
-
-
-def _open(path: Path, *, whole: bool) -> oiio.ImageInput:
-    """Open an image whose pixels (``whole``) or header alone will be read."""
-    if not path.is_file():
-        raise UserError(path, expected="an image file", found="a folder" if path.is_dir() else "no such file")
-    if path.suffix.lower() == ".png":
-        _check_png(path, whole=whole)
-    straight = oiio.ImageSpec()
-    straight.attribute("oiio:UnassociatedAlpha", 1)
-    image = oiio.ImageInput.open(str(path), straight)
-    if image is None:
-        raise UserError(path, expected="a readable image", found=oiio.geterror() or "an unknown format")
-    return image
-
-
-def _decode(image: oiio.ImageInput, path: Path, pixel_type: oiio.BASETYPE) -> np.ndarray:
-    """(H, W, C) pixels of an open image, which is closed."""
-    pixels = image.read_image(pixel_type)
-    fault = image.geterror()
-    image.close()
-    oiio.geterror()  # a codec reports twice; what is left here would be blamed on the next file
-    if pixels is None:
-        raise UserError(path, expected="a readable image", found=fault or "broken pixel data")
-    return pixels
-
-
 def _write(path: str | Path, array: np.ndarray, pixel_type: oiio.BASETYPE) -> None:
     path = Path(path)
+    try:
+        name = utf8_name(path)
+    except UserError as error:
+        raise OSError(f"{path}: cannot be written: expected {error.expected}") from error
     pixels = np.ascontiguousarray(array if array.ndim == 3 else array[..., None])
     height, width, channels = pixels.shape
     spec = oiio.ImageSpec(width, height, channels, pixel_type)
     spec.attribute("oiio:UnassociatedAlpha", 1)
     spec.attribute("DateTime", "")  # an EXR would hold the hour: the same pixels make the same file
-    output = oiio.ImageOutput.create(str(path))
+    output = oiio.ImageOutput.create(name)
     if output is None:
         raise OSError(f"{path}: cannot be written: {oiio.geterror()}")
-    written = output.open(str(path), spec) and output.write_image(pixels)
+    written = output.open(name, spec) and output.write_image(pixels)
     fault = output.geterror()
     if not output.close() or not written:
         raise OSError(f"{path}: cannot be written: {fault or output.geterror() or oiio.geterror()}")
@@ -321,51 +278,11 @@ def _write(path: str | Path, array: np.ndarray, pixel_type: oiio.BASETYPE) -> No
 def _check_written(path: Path) -> None:
     """Read a file back: OpenImageIO does not look at how many of its last bytes the disk took.
 
-    Of a PNG the chunks' checksums do, in a hundredth of the time that it takes to write one.
+    Of a PNG the chunks' checksums tell, in a hundredth of the time that it takes to write one.
     """
     try:
-        if path.suffix.lower() == ".png":
-            _check_png(path, whole=True)
-        else:
-            _decode(_open(path, whole=True), path, oiio.FLOAT)
+        if not check_whole(path, pixels=True):
+            with opened(path, whole=True) as image:
+                decode(image, path, oiio.FLOAT)
     except UserError as fault:
         raise OSError(f"{path}: cannot be written whole: found {fault.found}") from fault
-
-
-def _check_png(path: Path, *, whole: bool) -> None:
-    """Walk a PNG's chunks before libpng does.
-
-    It would print its own lines on standard error about a broken file.
-    """
-    with path.open("rb") as file:
-        if file.read(8) != _PNG_SIGNATURE:
-            raise UserError(path, expected="a PNG image", found="another file's first bytes")
-        name, has_pixels = b"", False
-        while name != b"IEND":
-            name = _check_chunk(path, file)
-            has_pixels |= name == b"IDAT"
-            if has_pixels and not whole:
-                return
-    if not has_pixels:
-        raise UserError(path, expected="a whole PNG image", found="no pixels")
-
-
-def _check_chunk(path: Path, file: BinaryIO) -> bytes:
-    head = file.read(8)
-    if len(head) < 8:
-        raise UserError(path, expected="a whole PNG image", found=f"the file's end after {file.tell()} bytes")
-    length, name = struct.unpack(">I4s", head)
-    body = file.read(length + 4)
-    if len(body) < length + 4:
-        raise UserError(
-            path,
-            expected="a whole PNG image",
-            found=f"the file's end within its {name.decode('latin-1')!r} chunk",
-        )
-    if zlib.crc32(body[:-4], zlib.crc32(name)) != int.from_bytes(body[-4:], "big"):
-        raise UserError(
-            path,
-            expected="a whole PNG image",
-            found=f"a wrong checksum in its {name.decode('latin-1')!r} chunk",
-        )
-    return name

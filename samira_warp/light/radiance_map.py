@@ -5,17 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-import numpy as np
 import torch
 from torch import Tensor
 
 from samira_warp.geometry.camera import Camera
-from samira_warp.io.images import Channels, is_linear, read_channels
 from samira_warp.kernels.cubemap.equirect import picture_equirect
 from samira_warp.kernels.cubemap.lookup import sample_cubemap
-from samira_warp.light.color import decode_srgb
 from samira_warp.light.cross import cross_to_cube, is_cross, resample_cube
 from samira_warp.light.equirect import equirect_to_cube, turn_directions
+from samira_warp.light.radiance_file import read_radiance
 from samira_warp.support.errors import UserError
 
 
@@ -34,30 +32,17 @@ class RadianceMap:
         """Read a map of any size.
 
         An equirectangular panorama (2:1) or a cube cross, lying (4:3) or upright (3:4): the shape tells which
-        it is. A single channel becomes grey; slightly negative values become 0.
+        it is. What the file's header says of its pixels holds, see `radiance_file.read_radiance`.
 
         Args:
             path: A floating-point file (.hdr, .exr).
             ldr: Also take files of whole numbers (.jpg, .png), decoded from sRGB.
 
         Raises:
-            UserError: The file is missing, unreadable, of whole numbers without ``ldr``, of another shape, or
-                holds values that are not finite.
+            UserError: `radiance_file.read_radiance` refuses it, or it is of another shape.
         """
         path = Path(path)
-        linear = is_linear(path)
-        if not linear and not ldr:
-            raise UserError(
-                path,
-                expected="floating-point radiance (.hdr or .exr), because an 8-bit image clips the lamps and "
-                "the sun that light a face (--ldr takes it as it is)",
-                found="whole numbers",
-            )
-        pixels = torch.from_numpy(np.ascontiguousarray(_rgb(read_channels(path), path)))
-        if not pixels.isfinite().all():
-            found = f"{int((~pixels.isfinite()).sum())} values that are infinite or not numbers"
-            raise UserError(path, expected="finite radiance", found=found)
-        radiance = pixels.clamp(min=0) if linear else decode_srgb(pixels)
+        radiance = read_radiance(path, ldr=ldr)
         height, width = radiance.shape[:2]
         if width == 2 * height:
             return cls(radiance)
@@ -94,17 +79,3 @@ class RadianceMap:
     def to(self, device: torch.device | str) -> RadianceMap:
         """The same map on ``device``."""
         return replace(self, texels=self.texels.to(device))
-
-
-def _rgb(channels: Channels, path: Path) -> np.ndarray:
-    """(H, W, 3) colour of a file's channels.
-
-    R, G and B whatever is beside them, or the only one there is beside alpha.
-    """
-    names = channels.names
-    if all(name in names for name in "RGB"):
-        return channels.pixels[..., [names.index(name) for name in "RGB"]]
-    grey = [index for index, name in enumerate(names) if name != "A"]
-    if len(grey) == 1:
-        return np.repeat(channels.pixels[..., grey], 3, axis=-1)
-    raise UserError(path, expected="channels R, G, B or a single one", found=", ".join(names))
