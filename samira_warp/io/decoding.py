@@ -83,12 +83,12 @@ def utf8_name(path: Path) -> str:
     """A file's name as OpenImageIO takes it: in UTF-8, whatever the locale is.
 
     Raises:
-        UserError: The name is none in UTF-8.
+        UserError: The name is none in UTF-8, or has characters that the locale does not know.
     """
     try:
         return os.fsencode(path).decode("utf-8")
-    except UnicodeDecodeError as error:
-        raise UserError(path, expected="a file's name in UTF-8", found="other bytes") from error
+    except UnicodeError as error:
+        raise UserError(path, expected="a file's name in UTF-8", found=error) from error
 
 
 def orientation_of(image: oiio.ImageInput, path: Path, *, part: int = 0) -> int:

@@ -10,8 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from safetensors import SafetensorError
-from safetensors.torch import save_file
+from safetensors.torch import save
 from torch import Tensor
 
 from samira_warp.support.errors import UserError
@@ -75,11 +74,14 @@ def replace_folder(target: Path, write: Callable[[Path], None]) -> None:
             shutil.rmtree(folder, ignore_errors=True)
 
 
-def replace_file(target: Path, text: str) -> None:
-    """Write a text file under a hidden name, flush it and rename it to ``target``."""
+def replace_file(target: Path, content: str | bytes) -> None:
+    """Write a file under a hidden name, text in UTF-8, flush it and rename it to ``target``.
+
+    Who may read it follows from the process's umask, as with any new file.
+    """
     fresh = target.parent / f".{target.name}.new"
     try:
-        fresh.write_text(text, encoding="utf-8")
+        fresh.write_bytes(content.encode("utf-8") if isinstance(content, str) else content)
         _flush(fresh)
         fresh.replace(target)
     finally:
@@ -87,17 +89,17 @@ def replace_file(target: Path, text: str) -> None:
 
 
 def save_tensors(tensors: dict[str, Tensor], path: Path, *, metadata: dict[str, str] | None = None) -> None:
-    """Write tensors by name as a safetensors file.
+    """Write tensors by name as a safetensors file, whole or not at all.
 
     Raises:
         OSError: The file cannot be written.
     """
+    # safetensors' own writer leaves files that nobody but their owner can read.
+    content = save({name: value.detach().contiguous() for name, value in tensors.items()}, metadata=metadata)
     try:
-        save_file(
-            {name: value.detach().contiguous() for name, value in tensors.items()}, path, metadata=metadata
-        )
-    except SafetensorError as error:
-        raise OSError(f"{path}: cannot be written: {error}") from error
+        replace_file(path, content)
+    except OSError as error:
+        raise OSError(f"{path}: cannot be written: {error.strerror or error}") from error
 
 
 def read_json(path: Path) -> dict[str, Any]:

@@ -235,10 +235,12 @@ def _read_colour_and_alpha(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
     with opened(path, whole=True) as image:
         spec = image.spec()
         pixels = decode(image, path, oiio.FLOAT)
-    alpha = None
-    if spec.alpha_channel >= 0:
-        alpha = pixels[..., spec.alpha_channel]
-        pixels = np.delete(pixels, spec.alpha_channel, axis=2)
+    alpha, number = None, spec.alpha_channel
+    if number >= spec.nchannels:  # the GIF reader's
+        number = spec.channelnames.index("A")
+    if number >= 0:
+        alpha = pixels[..., number]
+        pixels = np.delete(pixels, number, axis=2)
         if not spec.get_int_attribute("oiio:UnassociatedAlpha"):
             pixels = _straight(pixels, alpha)
     if pixels.shape[2] not in (1, 3):

@@ -16,7 +16,6 @@ wrong value be told from a right one where a format has no checksums.
 
 from __future__ import annotations
 
-import re
 import struct
 import zlib
 from pathlib import Path
@@ -33,8 +32,9 @@ _TIFF = {b"II*\0": "<", b"MM\0*": ">", b"II+\0": "<", b"MM\0+": ">"}
 _ZEROS = bytes(64)
 """More zeros than a compressed picture ends in."""
 
-_MARKER = re.compile(rb"\xff+([^\x00\x01\xd0-\xd7\xff])", re.DOTALL)
-"""A JPEG's next marker: not a stuffed 0xff of its coded data, and no restart in it."""
+_IS_MARKER = np.ones(256, bool)
+_IS_MARKER[[0x00, 0x01, *range(0xD0, 0xD8), 0xFF]] = False
+"""By the byte that follows a 0xff: whether the two are a JPEG's marker, and no part of its coded data."""
 
 _START, _END, _SCAN = 0xD8, 0xD9, 0xDA
 _SEQUENTIAL, _PROGRESSIVE = (0xC0, 0xC1, 0xC9), (0xC2, 0xCA)
@@ -111,11 +111,15 @@ def _check_chunk(path: Path, file: BinaryIO) -> bytes:
 
 def _check_jpeg(path: Path, data: bytes) -> None:
     """Walk a JPEG's segments up to the end of its image: thumbnails are inside segments, and skipped."""
+    values = np.frombuffer(data, np.uint8)
+    markers = np.flatnonzero(values[:-1] == 0xFF)
+    markers = markers[_IS_MARKER[values[markers + 1]]]
     known: dict[int, np.ndarray] = {}
     progressive = False
     position = 2
-    while found := _MARKER.search(data, position):
-        marker, start = found[1][0], found.end()
+    while (next_one := int(np.searchsorted(markers, position))) < len(markers):
+        start = int(markers[next_one]) + 2
+        marker = data[start - 1]
         if marker == _END:
             missing = [component for component, bits in known.items() if (bits != 0).any()]
             if missing:

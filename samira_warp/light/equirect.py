@@ -23,6 +23,9 @@ _SAMPLES_PER_PIXEL = 3
 """Samples per pixel of the panorama, along each axis: a lamp of one pixel keeps its energy to a few percent,
 a map to some 1e-3."""
 
+_VALUES_AT_ONCE = 1 << 24
+"""Numbers of a panorama that are weighted at once: a large one has no room for a copy of itself."""
+
 
 def equirect_to_cube(equirect: Tensor, *, size: int) -> Tensor:
     """Resample a panorama as a cubemap; each texel is the mean over its solid angle.
@@ -151,7 +154,13 @@ def _shrink(equirect: Tensor, *, columns: int) -> Tensor:
         row_solid_angles(height, width, device=equirect.device).to(equirect.dtype).view(-1, factor, 1, 1)
     )
     blocks = equirect.view(height // factor, factor, width // factor, factor * channels)
-    rows = (blocks * weights).sum(dim=1) / weights.sum(dim=1)
+    at_once = max(_VALUES_AT_ONCE // (factor * width * channels), 1)
+    rows = torch.cat(
+        [
+            (some * weight).sum(dim=1) / weight.sum(dim=1)
+            for some, weight in zip(blocks.split(at_once), weights.split(at_once), strict=True)
+        ]
+    )
     return rows.view(height // factor, width // factor, factor, channels).mean(dim=2)
 
 

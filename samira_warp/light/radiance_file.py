@@ -63,7 +63,7 @@ class _Conversion:
     def radiance(self, values: np.ndarray) -> np.ndarray:
         """(h, w, 3) radiance of a block of stored values, which are counted and may be overwritten."""
         if not self.linear:
-            return decode_srgb(torch.from_numpy(values)).numpy()
+            return decode_srgb(torch.from_numpy(np.ascontiguousarray(values))).numpy()
         odd = self.oddities
         odd.total += values.size
         least, most = values.min(initial=0.0), values.max(initial=0.0)
@@ -125,7 +125,9 @@ def _decoded(image: oiio.ImageInput, layer: ColorLayer, path: Path, conversion: 
     for start, block in decode_blocks(image, path, part=layer.part, channels=channels):
         first, end = max(start, rows.stored.start), min(start + len(block), rows.stored.stop)
         if first < end:
-            values = np.ascontiguousarray(block[first - start : end - start, columns.stored][..., picked])
+            values = block[first - start : end - start, columns.stored]
+            if picked != list(range(len(channels))):
+                values = values.take(picked, axis=2)
             shift = rows.picture.start - rows.stored.start
             stored[first + shift : end + shift, columns.picture] = conversion.radiance(values)
     return texels

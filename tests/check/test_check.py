@@ -11,14 +11,17 @@ import pytest
 from data.damage import change_arrays, change_json, cut, widen, with_value
 from data.layouts import make_film_for, write_layout
 from data.tiny import make_tiny_dataset, tiny_template
+from PIL import Image
 
 from samira_warp.check.__main__ import CheckConfig, main
 from samira_warp.check.drawing import CELL, mesh_overlay
 from samira_warp.check.findings import MOST_ALIKE
 from samira_warp.check.views import sampled_views
 from samira_warp.data import open_sequence
+from samira_warp.data.pixels import load_pixels
 from samira_warp.io.images import read_image, write_png
 from samira_warp.support.cli import run
+from samira_warp.support.errors import UserError
 
 
 @pytest.fixture
@@ -194,6 +197,25 @@ def test_broken_pixels_are_found_by_decoding(dataset, capsys):
     lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("fault: ")]
     for file in files:
         assert sum(str(dataset / file) in line for line in lines) == 1
+
+
+@pytest.mark.parametrize("suffix", [".jpg", ".webp", ".bmp", ".tif"])
+def test_a_picture_that_was_cut_is_told_and_not_trained(dataset, capsys, suffix):
+    """Most decoders fill up what is missing, with grey or with what came before."""
+    for path in list((dataset / "images").iterdir()):
+        Image.open(path).convert("RGB").save(path.with_suffix(suffix), quality=95)
+        path.unlink()
+    victim = dataset / "images" / f"00002_00{suffix}"
+    whole = victim.read_bytes()
+    victim.write_bytes(whole[: 2 * len(whole) // 3])
+    assert check("--data", dataset, "--out", dataset.parent / "sheet.png") == 2
+    lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("fault: ")]
+    assert len(lines) == 1
+    assert lines[0].startswith(f"fault: {victim}: expected a ")
+    assert "copy or export the picture again" in lines[0]
+    (frame,) = [frame for frame in open_sequence(dataset).frames if frame.image_path == victim]
+    with pytest.raises(UserError, match=victim.name):
+        load_pixels(frame, width=32, height=32)
 
 
 def test_many_alike_are_summed_up(tmp_path, capsys):

@@ -85,6 +85,36 @@ def test_tensors_come_back_and_a_file_that_cannot_be_written_is_named(tmp_path):
         save_tensors(values, tmp_path / "nowhere" / "t.safetensors")
 
 
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no such modes")
+@pytest.mark.parametrize(("mask", "mode"), [(0o022, 0o644), (0o002, 0o664), (0o077, 0o600)])
+def test_who_may_read_a_file_follows_from_the_umask(tmp_path, mask, mode):
+    before = os.umask(mask)
+    try:
+        save_tensors({"a": torch.ones(3)}, tmp_path / "t.safetensors")
+        replace_file(tmp_path / "a.json", "{}")
+        replace_folder(tmp_path / "folder", write_one("first"))
+    finally:
+        os.umask(before)
+    for path in (tmp_path / "t.safetensors", tmp_path / "a.json", tmp_path / "folder" / "one"):
+        assert path.stat().st_mode & 0o777 == mode
+    assert (tmp_path / "folder").stat().st_mode & 0o777 == mode | (mode & 0o444) >> 2
+
+
+def test_tensors_are_replaced_whole(tmp_path, monkeypatch):
+    path = tmp_path / "t.safetensors"
+    save_tensors({"a": torch.ones(3)}, path)
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match=r"t\.safetensors: cannot be written: No space left on device"):
+        save_tensors({"a": torch.zeros(3)}, path)
+    monkeypatch.undo()
+    assert load_file(path)["a"].sum() == 3
+    assert [path.name for path in tmp_path.iterdir()] == ["t.safetensors"]
+
+
 def test_a_user_without_a_home_is_told_how_to_name_a_folder(monkeypatch):
     for name in ("SAMIRA_WARP_CACHE", "XDG_CACHE_HOME", "HOME"):
         monkeypatch.delenv(name, raising=False)

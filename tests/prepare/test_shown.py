@@ -280,8 +280,8 @@ def test_films_without_a_tag_are_read_by_their_size(folder, size, matrix):
 def test_colours_that_nobody_here_reads_are_refused_by_name(folder):
     path = folder / "ictcp.mkv"
     ffmpeg(
-        "-f", "lavfi", "-i", "color=s=64x64:d=0.1:r=25", "-vf", "format=yuv420p10le,setparams=colorspace=ictcp",
-        "-c:v", "ffv1", path,
+        "-f", "lavfi", "-i", "color=s=64x64:d=0.1:r=25",
+        "-vf", "format=yuv420p10le,setparams=colorspace=ictcp", "-c:v", "ffv1", path,
     )  # fmt: skip
     with pytest.raises(UserError, match="ICtCp"):
         pictures(path)
