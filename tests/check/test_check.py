@@ -206,6 +206,7 @@ def test_a_picture_that_was_cut_is_told_and_not_trained(dataset, capsys, suffix)
         Image.open(path).convert("RGB").save(path.with_suffix(suffix), quality=95)
         path.unlink()
     victim = dataset / "images" / f"00002_00{suffix}"
+    (frame,) = [frame for frame in open_sequence(dataset).frames if frame.image_path == victim]
     whole = victim.read_bytes()
     victim.write_bytes(whole[: 2 * len(whole) // 3])
     assert check("--data", dataset, "--out", dataset.parent / "sheet.png") == 2
@@ -213,7 +214,6 @@ def test_a_picture_that_was_cut_is_told_and_not_trained(dataset, capsys, suffix)
     assert len(lines) == 1
     assert lines[0].startswith(f"fault: {victim}: expected a ")
     assert "copy or export the picture again" in lines[0]
-    (frame,) = [frame for frame in open_sequence(dataset).frames if frame.image_path == victim]
     with pytest.raises(UserError, match=victim.name):
         load_pixels(frame, width=32, height=32)
 
