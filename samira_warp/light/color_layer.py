@@ -112,7 +112,7 @@ def _candidates(part: int, spec: oiio.ImageSpec) -> Iterator[_Candidate]:
 
 def _grey(components: dict[str, int], *, alone: bool) -> tuple[int, ...]:
     """The channel of brightness of a layer without colours: named so, or the only one that a file has."""
-    if not {"x", "z"} & set(components):
+    if not {"x", "z", "ry", "by"} & set(components):  # of vectors, and of colours as luminance and chroma
         named = tuple(number for name, number in components.items() if name in _GREYS)
         if len(named) == 1:
             return named

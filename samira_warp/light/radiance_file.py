@@ -167,7 +167,9 @@ def _radiance_matrix(header: RadianceHeader, path: Path) -> np.ndarray | None:
 
 
 def _named_matrix(spec: oiio.ImageSpec, path: Path) -> np.ndarray | None:
-    name = spec.get_string_attribute("colorInteropID") or spec.get_string_attribute("oiio:ColorSpace")
+    name = spec.get_string_attribute("colorInteropID")
+    if not name and spec.get_int_attribute("oiio:subimages", 1) == 1:  # of several, it is the first one's
+        name = spec.get_string_attribute("oiio:ColorSpace")
     if name in NAMED:
         return to_rec709(NAMED[name])
     if name.lower() in _LINEAR:

@@ -142,6 +142,16 @@ def test_of_views_the_first_eye_is_chosen(tmp_path):
     np.testing.assert_array_equal(radiance(path), left)
 
 
+def test_a_part_that_says_it_is_no_picture_is_not_taken(tmp_path):
+    picture, data = sky(), 2 * sky()
+    path = write(
+        tmp_path / "a.exr",
+        (data, header(data, **{"oiio:subimagename": "a", "colorInteropID": "data"})),
+        (picture, header(picture, **{"oiio:subimagename": "b"})),
+    )
+    np.testing.assert_array_equal(radiance(path), picture)
+
+
 @pytest.mark.parametrize(
     ("names", "chosen"),
     [
@@ -171,6 +181,7 @@ def test_channels_are_read_by_name(tmp_path, names, chosen):
         (("Z",), "found Z"),
         (("normals.R", "normals.G", "normals.B"), "found normals.R"),
         (("N.X", "N.Y", "N.Z"), "found N.X, N.Y, N.Z"),
+        (("Y", "RY", "BY"), "found Y, BY, RY"),
         (("R", "G"), "found R, G"),
         (("A",), "found A"),
         (("one.R", "one.G", "one.B", "two.R", "two.G", "two.B"), "found one, two"),
@@ -372,6 +383,17 @@ def test_negative_radiance_is_said_once_and_taken_for_none(tmp_path, caplog):
     (record,) = caplog.records
     message = f"{tmp_path / 'a.exr'}: 3 of {pixels.size} values are negative, down to -2.5, and taken for 0"
     assert record.getMessage() == message
+
+
+@pytest.mark.parametrize("name", ["a.hdr", "a.exr", "tiles.exr", "a.tif"])
+def test_a_light_file_that_was_cut_is_refused(tmp_path, name):
+    pixels = np.random.default_rng(0).random((128, 256, 3)).astype(np.float32)
+    path = one(tmp_path / name, pixels, tile=32 if name == "tiles.exr" else 0)
+    whole = path.read_bytes()
+    for cut in np.linspace(0, len(whole) - 1, 16).astype(int):
+        path.write_bytes(whole[:cut])
+        with pytest.raises(UserError, match=name):
+            radiance(path)
 
 
 def test_ordinary_light_is_read_without_a_word(tmp_path, caplog):
