@@ -1,10 +1,9 @@
-"""Pictures of a head by an independent ray caster: rays against a bounding volume hierarchy, nothing shared
-with the splatting.
+"""Pictures of a head by an independent ray caster: rays against its triangles.
 
-Camera rays meet the triangles; light comes from the sky, drawn by its brightness and by the surface's lobes
-together, with shadow rays and two bounces. Diffuse light is what the whole sky would give, which a table says
-exactly, times the share that the drawn directions leave of it. Every pixel draws numbers of its own, so a
-picture has the same bits for any number of threads.
+Nothing is shared with the splatting. Camera rays meet the triangles; light comes from the sky, drawn by its
+brightness and by the surface's lobes together, with shadow rays and two bounces. Diffuse light is what the
+whole sky would give, which a table says exactly, times the share that the drawn directions leave of it. Every
+pixel draws numbers of its own, so a picture has the same bits for any number of threads.
 """
 
 from __future__ import annotations
@@ -19,7 +18,8 @@ from samira_subject.raycaster_kernels import trace_pixels
 from samira_subject.raycaster_sampling import SkyTables
 from samira_warp.geometry.camera import Camera
 from samira_warp.geometry.mesh import vertex_normals
-from samira_warp.kernels.runtime import launch_range, warp_array
+from samira_warp.kernels.rays.ray_mesh import RayMesh
+from samira_warp.kernels.runtime import launch_range
 from samira_warp.light.environment import LUMINANCE
 
 GRAIN = 64
@@ -95,7 +95,7 @@ class PosedSkin:
     """A head in one pose, ready for rays."""
 
     def __init__(self, skin: Skin, vertices: torch.Tensor, slopes: torch.Tensor) -> None:
-        """Build the hierarchy.
+        """Build the mesh that rays meet.
 
         Args:
             skin: The surface.
@@ -103,14 +103,11 @@ class PosedSkin:
             slopes: (S, S, 3) float32 gradient of the bumps' height over the rest head.
         """
         self._skin = skin
-        self._points = vertices.contiguous()
-        self._normals = vertex_normals(self._points, skin.faces)
-        self._turns = _turns(skin.rest, self._points, skin.faces)
+        # a mesh for each pose: several lights film it, and another pose may be taken before they have
+        self._mesh = RayMesh(vertices, skin.faces)
+        self._normals = vertex_normals(self._mesh.vertices, skin.faces)
+        self._turns = _turns(skin.rest, self._mesh.vertices, skin.faces)
         self._slopes = slopes.contiguous()
-        # the mesh does not hold on to the tensors that it looks at
-        self._mesh = wp.Mesh(
-            points=warp_array(self._points, wp.vec3), indices=warp_array(skin.faces.flatten().contiguous())
-        )
 
     @torch.no_grad()
     def render(self, camera: Camera, sky: SkyTables, *, effort: Effort, seed: int) -> Picture:
@@ -122,13 +119,11 @@ class PosedSkin:
             effort: How many rays.
             seed: Seed of every number drawn.
         """
-        device, size = self._points.device, camera.width * camera.height
-        sums = _Sums(
-            *torch.zeros(len(_Sums._fields) - 1, size, 3, device=device),
-            torch.zeros(size, dtype=torch.int32, device=device),
-        )
-        skin = self._skin
-        head = (int(self._mesh.id), skin.faces, self._points, self._normals, self._turns)
+        device, size = self._mesh.vertices.device, camera.width * camera.height
+        light = torch.zeros(len(_Sums._fields) - 1, size, 3, device=device)
+        sums = _Sums._make([*light, torch.zeros(size, dtype=torch.int32, device=device)])
+        skin, mesh = self._skin, self._mesh
+        head = (mesh.id, mesh.faces, mesh.vertices, self._normals, self._turns)
         maps = (skin.corner_uv, skin.albedo, skin.finish, self._slopes)
         view = _view(camera)
 
@@ -185,17 +180,18 @@ class _Sums(NamedTuple):
     hits: torch.Tensor
 
     def light(self) -> torch.Tensor:
-        """(P, 3) mean radiance: diffuse light is the exact one without shadows times the share that shadow
-        rays leave of it.
+        """(P, 3) mean radiance.
 
-        Where no shadow falls nothing is left to chance (Heitz, Hill and McGuire, Combining Analytic Direct
+        Diffuse light is the exact one without shadows times the share that shadow rays leave of it. Where no
+        shadow falls nothing is left to chance (Heitz, Hill and McGuire, Combining Analytic Direct
         Illumination and Stochastic Shadows, 2018).
         """
         return (self.open * self._lit() + self.rest) / self._each()
 
     def error(self) -> torch.Tensor:
-        """(P,) standard error of the luminance, the ratio linearised; samples that are stratified do better
-        than it says.
+        """(P,) standard error of the luminance, the ratio linearised.
+
+        Samples that are stratified do better than it says.
         """
         each = self._each()[:, 0]
         lit = _luminance(self.seen) / _luminance(self.drawn).clamp(min=1e-12)
@@ -206,11 +202,11 @@ class _Sums(NamedTuple):
         return (variance / (self.hits - 1).clamp(min=1)).sqrt()
 
     def noisier_than(self, tolerance: float, camera: Camera) -> torch.Tensor:
-        """(P,) bool: whether the error is above a share of the radiance, to which what no eye sees in the
-        dark is added.
+        """(P,) bool: whether the error is above a share of the radiance.
 
-        The error is a pixel's own or, where that is larger, that of it and its neighbours together: a few
-        samples that all missed a lamp do not know that they did.
+        `DARK` is added to the radiance: in the dark no eye sees the error. It is a pixel's own or, where that
+        is larger, that of it and its neighbours together: a few samples that all missed a lamp do not know
+        that they did.
         """
         is_head = (self.hits > 0).float()
         squares = torch.stack([is_head * self.error() ** 2, is_head]).view(2, camera.height, camera.width)

@@ -2,7 +2,7 @@
 
 It grows with Gaussians, pixels, channels and culled Gaussians.
 
-usage: python tools/raster_growth.py --out FILE.png [--device auto|cpu|cuda]
+usage: python tools/raster_growth.py --out FILE.png [--device NAME]
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from samira_warp.bench.scene import Scene, make_scene
 from samira_warp.bench.timing import hardware
 from samira_warp.support.cli import run
 from samira_warp.support.constants import ALPHA_MIN
-from samira_warp.support.devices import DeviceName, pick_device
+from samira_warp.support.device_names import DeviceName
+from samira_warp.support.devices import pick_device
 from samira_warp.support.errors import UserError
 
 TRANSLUCENT = 0.1
@@ -71,7 +72,7 @@ class GrowthConfig:
     out: Path
     """The .png file to write; the table goes to standard output, as Markdown."""
     device: DeviceName = "auto"
-    """Where to compute."""
+    """Where to compute: cpu, cuda, cuda:N, or auto, a GPU where there is one."""
 
 
 def main(config: GrowthConfig) -> None:
@@ -82,7 +83,7 @@ def main(config: GrowthConfig) -> None:
         )
     if not config.out.parent.is_dir():
         raise UserError(config.out.parent, expected="an existing folder", found="no such folder")
-    device = torch.device(pick_device(config.device))
+    device = pick_device(config.device)
     measured: dict[str, list[StageTimes]] = {}
     print(f"{hardware(device)}\n")
     print(HEADER)

@@ -11,7 +11,8 @@ from typing import Literal
 import tyro
 
 from samira_warp.support.cli import run
-from samira_warp.support.devices import DeviceName, pick_device
+from samira_warp.support.device_names import DeviceName
+from samira_warp.support.devices import pick_device
 from samira_warp.support.errors import UserError
 
 
@@ -23,7 +24,7 @@ class BenchConfig:
     """raster: kernels against plain ones or, on a GPU, gsplat; light: filtering; avatar: a frame, train: a
     step, by stage."""
     device: DeviceName = "auto"
-    """Where to compute."""
+    """Where to compute: cpu, cuda, cuda:N, or auto, a GPU where there is one."""
     json: bool = False
     """Print JSON instead of a table."""
     hdri: Path | None = None

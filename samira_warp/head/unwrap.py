@@ -11,6 +11,7 @@ from torch import Tensor
 from samira_warp.geometry.camera import Camera
 from samira_warp.geometry.mesh import vertex_normals
 from samira_warp.head.atlas import UvAtlas
+from samira_warp.kernels.rays.ray_mesh import RayMesh
 from samira_warp.kernels.rays.visibility import visible
 
 GRAZING_COSINE = 0.2
@@ -56,8 +57,9 @@ def unwrap(views: list[UnwrapView], *, atlas: UvAtlas, vertices: Tensor, faces: 
     size = atlas.size
     total = torch.zeros(size * size, views[0].image.shape[-1], device=vertices.device)
     weight = torch.zeros(size * size, 1, device=total.device)
+    mesh = RayMesh(vertices, faces)
     for view in views:
-        seen, values = _read_view(view, atlas, faces)
+        seen, values = _read_view(view, atlas, faces, mesh)
         total += seen * values
         weight += seen
     known = weight[:, 0] > 0.0
@@ -71,11 +73,12 @@ def unwrap(views: list[UnwrapView], *, atlas: UvAtlas, vertices: Tensor, faces: 
     return texture.unflatten(0, (size, size))
 
 
-def _read_view(view: UnwrapView, atlas: UvAtlas, faces: Tensor) -> tuple[Tensor, Tensor]:
-    """Weight (T, 1) and value (T, C) of every texel in one view.
+def _read_view(view: UnwrapView, atlas: UvAtlas, faces: Tensor, mesh: RayMesh) -> tuple[Tensor, Tensor]:
+    """Weight (T, 1) and value (T, C) of every texel in one view, which the mesh is moved to.
 
     The weight is 0 where the view does not see the texel.
     """
+    mesh.refit(view.vertices)
     points = atlas.positions(view.vertices).flatten(0, 1)
     normals = atlas.positions(vertex_normals(view.vertices, faces)).flatten(0, 1)
     towards = torch.nn.functional.normalize(view.camera.center - points, dim=1)
@@ -86,7 +89,7 @@ def _read_view(view: UnwrapView, atlas: UvAtlas, faces: Tensor) -> tuple[Tensor,
     grid = (2.0 * pixel / points.new_tensor([view.camera.width, view.camera.height]) - 1.0)[None, None]
     stacked = torch.cat([view.image, view.mask[..., None]], dim=-1).permute(2, 0, 1)[None]
     sampled = torch.nn.functional.grid_sample(stacked, grid, align_corners=False)[0, :, 0].T
-    seen = visible(points, vertices=view.vertices, faces=faces, origin=view.camera.center)
+    seen = visible(points, mesh, origin=view.camera.center)
     seen &= atlas.valid.flatten() & (cosine > GRAZING_COSINE) & (sampled[:, -1] > OPAQUE)
     return torch.where(seen, cosine, 0.0)[:, None], sampled[:, :-1]
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from tyro.conf import Positional
 
 from samira_warp.prepare.crop import Crop
-from samira_warp.support.devices import DeviceName
+from samira_warp.support.device_names import DeviceName
 from samira_warp.support.errors import UserError
 
 
@@ -46,7 +46,7 @@ class PrepareConfig:
     restart: bool = False
     """Make anew what another video or other options ask for, although tracking is lost by it."""
     device: DeviceName = "auto"
-    """Where mattes are computed."""
+    """Where mattes are computed: cpu, cuda, cuda:N, or auto, a GPU where there is one."""
 
     def check(self) -> None:
         """Raise UserError unless every number and folder can be used."""

@@ -15,7 +15,8 @@ from samira_warp.data.mattes import read_matte
 from samira_warp.data.pictures import pictures_of
 from samira_warp.io.images import image_size, read_image, resize_box
 from samira_warp.prepare.frames import clear_unfinished, write_whole
-from samira_warp.support.devices import DeviceName, pick_device
+from samira_warp.support.device_names import DeviceName
+from samira_warp.support.devices import pick_device
 from samira_warp.support.errors import UserError
 
 REPOSITORY = "PeterL1n/RobustVideoMatting:53d74c6"

@@ -10,7 +10,7 @@ from typing import Annotated
 from tyro.conf import UseAppendAction
 
 from samira_warp.stage.layer_names import Layer
-from samira_warp.support.devices import DeviceName
+from samira_warp.support.device_names import DeviceName
 from samira_warp.support.errors import UserError
 from samira_warp.support.exposure import Exposure, check_exposure
 
@@ -74,7 +74,7 @@ class RenderConfig:
     fps: float = 25.0
     """Frames per second of the video."""
     device: DeviceName = "auto"
-    """Where to compute."""
+    """Where to compute: cpu, cuda, cuda:N, or auto, a GPU where there is one."""
 
     def check(self) -> None:
         """Raise UserError unless every number can be used."""

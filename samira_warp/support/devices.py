@@ -2,22 +2,48 @@
 
 from __future__ import annotations
 
-from typing import Literal
+import sys
 
 import torch
+import warp as wp
 
+from samira_warp.support.device_names import DeviceName, gpu_number
 from samira_warp.support.errors import UserError
-
-DeviceName = Literal["auto", "cpu", "cuda"]
+from samira_warp.support.warp_start import start_warp
 
 
 def pick_device(name: DeviceName) -> torch.device:
-    """The device that ``--device`` names; auto takes a GPU where there is one.
+    """The device that ``--device`` names, a GPU with its number.
+
+    ``auto`` takes torch's current GPU where torch and Warp can use it, else the CPU; a line on standard error
+    says so where torch alone can. ``cuda`` takes torch's current GPU, ``cuda:N`` that one.
 
     Raises:
-        UserError: A GPU is asked for where there is none.
+        UserError: It is no device's name, or a GPU that is not there or that Warp cannot use.
     """
-    gpu = torch.cuda.is_available()
-    if name == "cuda" and not gpu:
-        raise UserError("--device cuda", expected="a CUDA device that torch can use", found="none")
-    return torch.device("cuda" if name != "cpu" and gpu else "cpu")
+    number = gpu_number(name)
+    if name == "cpu" or (name == "auto" and not torch.cuda.is_available()):
+        return torch.device("cpu")
+    if not torch.cuda.is_available():
+        raise UserError(f"--device {name}", expected="a CUDA device that torch can use", found="none")
+    if number is None:
+        number = torch.cuda.current_device()
+    elif number >= torch.cuda.device_count():
+        there = ", ".join(f"cuda:{index}" for index in range(torch.cuda.device_count()))
+        raise UserError(f"--device {name}", expected=f"a CUDA device of this machine: {there}", found=name)
+    if not _warp_has(number):
+        if name != "auto":
+            raise UserError(
+                f"--device {name}",
+                expected="a GPU that Warp can use",
+                found=f"cuda:{number}, for torch alone",
+            )
+        print(f"computing on the CPU: torch can use cuda:{number}, but Warp cannot", file=sys.stderr)
+        return torch.device("cpu")
+    return torch.device("cuda", number)
+
+
+def _warp_has(number: int) -> bool:
+    """Whether Warp found a GPU too: it needs a newer driver than torch may, and has builds without CUDA."""
+    start_warp()
+    return f"cuda:{number}" in {device.alias for device in wp.get_cuda_devices()}

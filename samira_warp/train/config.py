@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
-from samira_warp.support.devices import DeviceName
+from samira_warp.support.device_names import DeviceName
 
 Ablation = Literal[
     "no-residual",
@@ -74,7 +74,7 @@ class TrainConfig:
     resolution: int | None = None
     """Image width and height in pixels; default the preset's."""
     device: DeviceName = "auto"
-    """Where to compute; auto takes a GPU where there is one."""
+    """Where to compute: cpu, cuda, cuda:N, or auto, a GPU where there is one."""
     seed: int = 42
     """Seed of every random choice."""
     resume: bool = False

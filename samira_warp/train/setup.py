@@ -57,12 +57,12 @@ def resolve(config: TrainConfig) -> TrainConfig:
     Raises:
         UserError: A value is out of range, or a GPU is asked for where there is none.
     """
-    device = pick_device(config.device).type
-    preset = config.preset or ("paper" if device == "cuda" else "cpu")
+    device = pick_device(config.device)
+    preset = config.preset or ("paper" if device.type == "cuda" else "cpu")
     sizes = PRESETS[preset]
     config = replace(
         config,
-        device=device,
+        device=str(device),
         preset=preset,
         resolution=sizes.resolution if config.resolution is None else config.resolution,
         gaussians=sizes.gaussians if config.gaussians is None else config.gaussians,

@@ -1,5 +1,4 @@
-"""Recorded launches: a kernel's launch on a device, recorded once by each thread and replayed with other
-arguments.
+"""Recorded launches: recorded once by each thread, and replayed with other arguments.
 
 At an avatar's sizes a kernel often runs for less time than Warp takes to look at its arguments, which a
 replay does not do again.
@@ -16,8 +15,8 @@ from typing import Any, NamedTuple
 import torch
 import warp as wp
 
-_LOADING = threading.Lock()
-"""Held while Warp starts or a module loads: neither is safe in two threads at once."""
+from samira_warp.kernels.runtime.loading import load
+from samira_warp.kernels.runtime.streams import current_stream
 
 _own = threading.local()
 """Each thread's commands, which end with it: two threads must not set one command's arguments."""
@@ -39,7 +38,8 @@ class Command:
             **({} if block_dim is None else {"block_dim": block_dim}),
         }
         self._kernel, self._device = kernel, device
-        self._launch: wp.Launch | None = None
+        # the recorded launch, from the first arguments on
+        self._launch: Any = None
         self._dim: int | tuple[int, ...] = 1
 
     def describe(self, arguments: tuple[Any, ...]) -> list[Any]:
@@ -110,9 +110,7 @@ class Command:
 
 
 class _Layout(NamedTuple):
-    """What the fast path expects of a tensor argument: ``dimensions`` of the array, and after those the shape
-    of its elements.
-    """
+    """What the fast path expects of a tensor: the array's ``dimensions``, then the shape of its elements."""
 
     dtype: torch.dtype
     dimensions: int
@@ -122,45 +120,12 @@ class _Layout(NamedTuple):
 
 def command_of(kernel: wp.Kernel, device: torch.device, block_dim: int | None = None) -> Command:
     """This thread's command for a kernel, whose module is compiled and loaded where it was not."""
-    commands = _own.__dict__.setdefault("commands", {})
+    commands: dict[tuple[Any, ...], Command] = _own.__dict__.setdefault("commands", {})
     key = (kernel, device, block_dim)
     if key not in commands:
-        start_warp()
-        with _LOADING:
-            wp.load_module(module=kernel.module, device=str(device), block_dim=block_dim)
+        load(kernel.module, device, block_dim)
         commands[key] = Command(kernel, device, block_dim)
     return commands[key]
-
-
-def start_warp() -> None:
-    """Initialise Warp, if nobody has, without its banner and without its warning that a machine has no
-    GPU.
-    """
-    if not _own.__dict__.get("started"):
-        with _LOADING:
-            _initialize()
-        _own.started = True
-
-
-@functools.cache
-def _initialize() -> None:
-    level = wp.config.log_level
-    wp.config.log_level = max(level, wp.LOG_ERROR)
-    try:
-        wp.init()
-    finally:
-        wp.config.log_level = max(level, wp.LOG_WARNING)
-
-
-def current_stream(device: torch.device) -> wp.Stream:
-    """Torch's current stream of a GPU."""
-    return _wrap_stream(device.index or 0, torch.cuda.current_stream(device).cuda_stream)
-
-
-@functools.lru_cache(maxsize=16)
-def _wrap_stream(index: int, handle: int) -> wp.Stream:
-    start_warp()
-    return wp.Stream(f"cuda:{index}", cuda_stream=handle)
 
 
 @functools.cache

@@ -1,22 +1,20 @@
-"""Where torch meets Warp: launches, threads, and Warp's utilities in torch's streams.
+"""Where torch meets Warp: launches, on as many threads as torch uses.
 
-Every operator in this folder reaches its kernels through `launch` or `launch_range`; nothing else knows about
-streams or threads.
+Every operator in `samira_warp.kernels` reaches its kernels through `launch` or `launch_range`.
 """
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import os
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any
 
 import torch
 import warp as wp
 
-from samira_warp.kernels.runtime.commands import command_of, current_stream, start_warp
+from samira_warp.kernels.runtime.commands import command_of
+from samira_warp.support.warp_start import start_warp
 
 CHUNKS_PER_THREAD = 8
 """A range launch is cut into this many pieces per thread, so that an uneven piece does not leave a core
@@ -77,28 +75,6 @@ def launch_range(kernel: wp.Kernel, count: int, *arguments: Any, grain: int = 1)
         wait(helpers)
     for helper in helpers:
         helper.result()
-
-
-@contextlib.contextmanager
-def stream_of(device: torch.device) -> Iterator[None]:
-    """Make Warp's own utilities (sort) work in torch's current stream of ``device``, captured or not; nothing
-    to do on the CPU.
-    """
-    start_warp()
-    if device.type != "cuda":
-        yield
-        return
-    stream = current_stream(device)
-    with wp.ScopedStream(stream, sync_enter=False):
-        # Warp has to know of a capture that torch began, or its temporary memory is freed in the middle of it
-        captured = torch.cuda.is_current_stream_capturing()
-        if captured:
-            wp.capture_begin(stream=stream, external=True, force_module_load=False)
-        try:
-            yield
-        finally:
-            if captured:
-                wp.capture_end(stream=stream)
 
 
 def warp_array(tensor: torch.Tensor, dtype: Any = None) -> wp.array:

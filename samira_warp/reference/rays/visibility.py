@@ -1,27 +1,23 @@
-"""The visibility of `samira_warp.kernels.rays.visibility` in plain torch: every ray against every triangle
-(Moeller and Trumbore).
-"""
+"""The visibility of `samira_warp.kernels.rays.visibility` in plain torch: all rays against all triangles."""
 
 from __future__ import annotations
 
 import torch
+from torch import Tensor
+
+from samira_warp.reference.rays.ray_mesh import RayMesh
 
 
-def visible(
-    points: torch.Tensor,
-    *,
-    vertices: torch.Tensor,
-    faces: torch.Tensor,
-    origin: torch.Tensor,
-    offset: float = 1e-4,
-) -> torch.Tensor:
-    """(M,) bool: no triangle meets the segment from ``origin`` to within ``offset`` of each of the ``points``
-    (M, 3).
+def visible(points: Tensor, mesh: RayMesh, *, origin: Tensor, offset: float = 1e-4) -> Tensor:
+    """(M,) bool: no triangle meets the segment from ``origin`` to within ``offset`` of each of the points.
+
+    The points are (M, 3), the viewpoint is (3,). Moeller and Trumbore, Fast, Minimum Storage Ray-Triangle
+    Intersection, 1997.
     """
     ray = (points - origin)[:, None]
     distance = ray.norm(dim=-1)
     ray = ray / distance[..., None].clamp(min=1e-30)
-    a, b, c = vertices[faces.long()].unbind(dim=1)
+    a, b, c = mesh.vertices[mesh.faces.long()].unbind(dim=1)
     across = torch.linalg.cross(ray, (c - a)[None])
     determinant = ((b - a) * across).sum(dim=-1)
     inverse = 1 / torch.where(determinant == 0, torch.nan, determinant)
