@@ -7,6 +7,10 @@ os.environ.setdefault("PYTHONHASHSEED", "0")
 
 import pytest
 import torch
+import warp
+
+# tests read standard error: in this process nothing is said of compiling kernels
+warp.config.log_level = warp.LOG_WARNING
 
 SUBJECT = Path(__file__).resolve().parents[2] / "shared" / "data" / "heads" / "ict_a"
 

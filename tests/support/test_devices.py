@@ -60,7 +60,12 @@ def test_a_name_stands_for_a_device_with_its_number(machine, capsys, count, curr
             "--device cuda:2: expected a CUDA device of this machine: cuda:0, cuda:1, found cuda:2",
         ),
         (1, [], "cuda", "--device cuda: expected a GPU that Warp can use, found cuda:0, for torch alone"),
-        (2, [0], "cuda:1", "--device cuda:1: expected a GPU that Warp can use, found cuda:1, for torch alone"),
+        (
+            2,
+            [0],
+            "cuda:1",
+            "--device cuda:1: expected a GPU that Warp can use, found cuda:1, for torch alone",
+        ),
     ],
 )
 def test_what_is_not_there_is_refused_by_its_name(machine, count, warp, name, complaint):
