@@ -12,6 +12,7 @@ from filelock import FileLock, Timeout
 
 from samira_subject.cast import build_cast
 from samira_subject.make import VERSION, SubjectPlan, make_subject
+from samira_warp.data.subjects import MadeSubject
 from samira_warp.io.files import cache_folder, read_json
 from samira_warp.support.errors import UserError
 
@@ -28,10 +29,10 @@ def subject_folder(seed: int = 0) -> Path:
 
 
 def built_in_subject(seed: int = 0) -> Path:
-    """The folder of the built-in subject's dataset, which is made on its first use; a line on standard error
-    says that it is being made.
+    """The folder of the built-in subject's dataset, which is made on its first use.
 
-    A folder that is not whole, or that holds something else, is made again.
+    A line on standard error says that it is being made. A folder that is not whole, or that holds something
+    else, is made again.
 
     Raises:
         UserError: It cannot be written.
@@ -47,6 +48,10 @@ def built_in_subject(seed: int = 0) -> Path:
     except OSError as error:
         raise UserError(folder, expected=f"a folder that can be written {_ELSEWHERE}", found=error) from error
     return folder
+
+
+BUILT_IN = MadeSubject(folder=subject_folder, dataset=built_in_subject)
+"""What `samira_warp.data.subjects` offers as ``built_in``."""
 
 
 def _is_whole(folder: Path, seed: int) -> bool:
@@ -79,8 +84,9 @@ def _announce(folder: Path) -> None:
 
 @contextlib.contextmanager
 def _alone(folder: Path) -> Iterator[None]:
-    """Keep other processes from making the same folder meanwhile; where one is at it, say so and wait for its
-    end.
+    """Keep other processes from making the same folder meanwhile.
+
+    Where one is at it, that is said, and its end waited for.
 
     Raises:
         UserError: The file system has no locks.

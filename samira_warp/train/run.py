@@ -11,11 +11,11 @@ from typing import Any, NamedTuple
 
 import torch
 
-from samira_subject.cache import built_in_subject, subject_folder
 from samira_warp.avatar import Avatar, DrivingFrame, write_frames
 from samira_warp.check import open_checked
 from samira_warp.data import PixelCache, Sequence
 from samira_warp.data.pixels import load_mask
+from samira_warp.data.subjects import made_subject
 from samira_warp.evaluate import ImagePair, evaluate_images, find_lpips
 from samira_warp.evaluate.lpips import SMALLEST_IMAGE, Lpips
 from samira_warp.io.files import read_json, replace_file, replace_folder
@@ -226,8 +226,9 @@ def _check_size(config: TrainConfig, size: tuple[int, int]) -> None:
 
 def _built_in() -> Path:
     """The built-in subject's dataset, for want of another."""
-    print(f"no --data: the built-in subject, in {subject_folder()}", file=sys.stderr)
-    return built_in_subject()
+    built_in = made_subject()
+    print(f"no --data: the built-in subject, in {built_in.folder()}", file=sys.stderr)
+    return built_in.dataset()
 
 
 def _announce(sequence: Sequence, encoder: str, perceptual: Lpips | str, config: TrainConfig) -> None:
