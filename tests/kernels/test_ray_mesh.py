@@ -4,6 +4,7 @@ import copy
 import gc
 import math
 import pickle
+import threading
 import weakref
 
 import pytest
@@ -221,6 +222,32 @@ def test_a_mesh_made_in_inference_mode_can_be_refitted_outside_and_the_other_way
     with torch.inference_mode():
         mesh.refit(vertices)
     assert torch.equal(mesh.vertices, torch.eye(3, device=device))
+
+
+def test_threads_share_a_mesh_and_have_their_own(device, generator):
+    vertices, moved, faces = (tensor.to(device) for tensor in make_scene(generator))
+    rays = [ray.to(device) for ray in make_rays(generator)]
+    shared = RayMesh(vertices, faces)
+    expected = [cast(RayMesh(place, faces), *rays) for place in (vertices, moved)]
+    together, wrong = threading.Barrier(4), []
+
+    def work():
+        together.wait()
+        for _ in range(20):
+            own = RayMesh(vertices, faces)
+            own.refit(moved)
+            for mesh, right in zip((shared, own), expected, strict=True):
+                found = cast(mesh, *rays)
+                wrong.extend(
+                    mesh.id for one, two in zip(found, right, strict=True) if not torch.equal(one, two)
+                )
+
+    threads = [threading.Thread(target=work) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert wrong == []
 
 
 def test_a_mesh_that_is_given_up_is_freed(device):

@@ -39,7 +39,7 @@ def _is_cached(module: wp.Module, device: torch.device, block_dim: int | None) -
     There is a folder for each hash of a module's source, options and threads to a block, with a binary in it
     for each kind of device. What another machine has compiled for another architecture passes for this one's.
     """
-    if device.type == "cpu" and not wp.config.enable_cpu_blocks:
+    if device.type == "cpu" and (block_dim is None or not wp.config.enable_cpu_blocks):
         block_dim = 1
     folder = Path(wp.config.kernel_cache_dir) / module.get_module_identifier(block_dim)
     kinds = (".o",) if device.type == "cpu" else (".ptx", ".cubin")
