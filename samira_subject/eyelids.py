@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from samira_warp.head.template import HeadTemplate
 
@@ -37,16 +38,14 @@ class Eyelids:
         radii: (N,) float32 their distances, metres.
     """
 
-    skin: torch.Tensor
+    skin: Tensor
     joint: int
-    center: torch.Tensor
-    directions: torch.Tensor
-    radii: torch.Tensor
+    center: Tensor
+    directions: Tensor
+    radii: Tensor
 
     @classmethod
-    def both(
-        cls, template: HeadTemplate, rest: torch.Tensor, in_eyeball: dict[str, torch.Tensor]
-    ) -> tuple[Eyelids, ...]:
+    def both(cls, template: HeadTemplate, rest: Tensor, in_eyeball: dict[str, Tensor]) -> tuple[Eyelids, ...]:
         """The lids of every eyeball that the template has.
 
         Args:
@@ -65,10 +64,10 @@ class Eyelids:
     def _one(
         cls,
         template: HeadTemplate,
-        rest: torch.Tensor,
+        rest: Tensor,
         name: str,
-        members: torch.Tensor,
-        of_any: torch.Tensor,
+        members: Tensor,
+        of_any: Tensor,
     ) -> Eyelids:
         center = torch.from_numpy(_sphere_center(rest[members].numpy()))
         spokes = rest[members] - center
@@ -77,7 +76,7 @@ class Eyelids:
         joint = int(template.weights[template.masks[name]].sum(axis=0).argmax())
         return cls((near & ~of_any).nonzero().squeeze(1), joint, center, spokes / radii[:, None], radii)
 
-    def clear(self, vertices: torch.Tensor, joint_transforms: torch.Tensor) -> torch.Tensor:
+    def clear(self, vertices: Tensor, joint_transforms: Tensor) -> Tensor:
         """Move skin out of the eyeball.
 
         Args:

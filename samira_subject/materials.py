@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from samira_subject.anatomy.assembly import Anatomy
 from samira_subject.head import SubjectHead
@@ -31,9 +32,9 @@ class _Groove(NamedTuple):
     texels.
     """
 
-    drivers: torch.Tensor
-    texels: torch.Tensor
-    slopes: torch.Tensor
+    drivers: Tensor
+    texels: Tensor
+    slopes: Tensor
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,12 +49,12 @@ class Materials:
         grooves: The wrinkles.
     """
 
-    albedo: torch.Tensor
-    finish: torch.Tensor
-    resting: torch.Tensor
+    albedo: Tensor
+    finish: Tensor
+    resting: Tensor
     grooves: tuple[_Groove, ...]
 
-    def relief(self, expression: torch.Tensor, jaw: float) -> torch.Tensor:
+    def relief(self, expression: Tensor, jaw: float) -> Tensor:
         """(S, S, 3) gradient over the rest head of the bumps' height.
 
         Args:
@@ -96,7 +97,7 @@ def paint(head: SubjectHead, *, seed: int, size: int) -> Materials:
     )
 
 
-def _map(texels: Texels, values: np.ndarray) -> torch.Tensor:
+def _map(texels: Texels, values: np.ndarray) -> Tensor:
     return torch.from_numpy(texels.spread(values).astype(np.float32))
 
 

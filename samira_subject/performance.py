@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from scipy.spatial.transform import Rotation
+from torch import Tensor
 
 from samira_subject.gestures import BLINK, LOWER, SPEECH, UPPER, Gesture, shapes_of
 from samira_subject.streams import Purpose, generator_of
@@ -77,12 +78,12 @@ class Performance:
     """
 
     train: int
-    translation: torch.Tensor
-    rotation: torch.Tensor
-    neck: torch.Tensor
-    jaw: torch.Tensor
-    eyes: torch.Tensor
-    expression: torch.Tensor
+    translation: Tensor
+    rotation: Tensor
+    neck: Tensor
+    jaw: Tensor
+    eyes: Tensor
+    expression: Tensor
 
     def __len__(self) -> int:
         return len(self.translation)

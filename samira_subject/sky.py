@@ -8,6 +8,7 @@ import math
 from dataclasses import dataclass
 
 import torch
+from torch import Tensor
 
 from samira_warp.light.environment import LUMINANCE
 from samira_warp.light.equirect import equirect_directions, row_solid_angles
@@ -133,7 +134,7 @@ SKIES = {
 """The lights by name; each in the units of its own, for `exposure_of` to bring to one brightness."""
 
 
-def paint_sky(sky: Sky, *, height: int = HEIGHT) -> torch.Tensor:
+def paint_sky(sky: Sky, *, height: int = HEIGHT) -> Tensor:
     """(height, 2 height, 3) float32 linear radiance of a sky; its layout is that of
     `samira_warp.light.equirect` without a turn.
     """
@@ -147,7 +148,7 @@ def paint_sky(sky: Sky, *, height: int = HEIGHT) -> torch.Tensor:
     return radiance.float()
 
 
-def exposure_of(radiance: torch.Tensor) -> float:
+def exposure_of(radiance: Tensor) -> float:
     """The exposure of a light: 0.8 / (0.5 x its mean radiance + 0.5 x irradiance on a surface that faces +z /
     pi), by luminance.
     """
@@ -160,7 +161,7 @@ def exposure_of(radiance: torch.Tensor) -> float:
     return DISPLAYED / float(0.5 * mean + 0.5 * front)
 
 
-def _coverage(softbox: Softbox, directions: torch.Tensor) -> torch.Tensor:
+def _coverage(softbox: Softbox, directions: Tensor) -> Tensor:
     """(H, W) how much of a softbox lies in each direction: 1 in its middle, falling to 0 at its edges."""
     azimuth, elevation = math.radians(softbox.azimuth), math.radians(softbox.elevation)
     middle = (
@@ -183,10 +184,10 @@ def _coverage(softbox: Softbox, directions: torch.Tensor) -> torch.Tensor:
     return coverage
 
 
-def _smooth_step(value: torch.Tensor) -> torch.Tensor:
+def _smooth_step(value: Tensor) -> Tensor:
     clipped = value.clamp(0.0, 1.0)
     return clipped * clipped * (3.0 - 2.0 * clipped)
 
 
-def _vector(values: tuple[float, float, float]) -> torch.Tensor:
+def _vector(values: tuple[float, float, float]) -> Tensor:
     return torch.tensor(values, dtype=torch.float64)

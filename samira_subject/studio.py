@@ -10,6 +10,7 @@ from typing import Protocol
 import numpy as np
 import torch
 from threadpoolctl import threadpool_limits
+from torch import Tensor
 
 from samira_subject.eyelids import EYEBALLS, Eyelids
 from samira_subject.raycaster import Effort, Picture, PosedSkin, Skin
@@ -35,10 +36,10 @@ class Materials(Protocol):
             below it.
     """
 
-    albedo: torch.Tensor
-    finish: torch.Tensor
+    albedo: Tensor
+    finish: Tensor
 
-    def relief(self, expression: torch.Tensor, jaw: float) -> torch.Tensor:
+    def relief(self, expression: Tensor, jaw: float) -> Tensor:
         """(S, S, 3) gradient of the bumps' height over the mean head at rest, with the wrinkles of an
         expression (E,) and of the jaw.
         """
@@ -55,7 +56,7 @@ class Cast:
     """
 
     template: HeadTemplate
-    identity: torch.Tensor
+    identity: Tensor
     materials: Materials
 
 
@@ -112,7 +113,7 @@ class Studio:
         with threads(self._threads):
             return posed.render(self.camera, sky, effort=self._effort, seed=seed)
 
-    def _refined_mask(self, template: HeadTemplate, name: str) -> torch.Tensor:
+    def _refined_mask(self, template: HeadTemplate, name: str) -> Tensor:
         """(V',) bool: the vertices of the finer mesh that lie in a mask, with all that they come from."""
         members = torch.zeros(len(template.v_template), 1)
         members[template.masks[name]] = 1.0
@@ -140,7 +141,7 @@ def developed(picture: Picture) -> np.ndarray:
     return on_white(picture.radiance, picture.coverage)
 
 
-def on_white(linear: torch.Tensor, coverage: torch.Tensor) -> np.ndarray:
+def on_white(linear: Tensor, coverage: Tensor) -> np.ndarray:
     """(H, W, 3) display values of linear colour (H, W, 3) under coverage (H, W)."""
     return compose(linear.clamp(0.0, 1.0), coverage[..., None], 1.0).numpy()
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from scipy.sparse import csr_array
+from torch import Tensor
 
 EDGE_ENDS, EDGE_OPPOSITES = 3.0 / 8.0, 1.0 / 8.0
 """Weights of a new vertex on an inner edge: each end of the edge, and each corner that faces it."""
@@ -32,7 +33,7 @@ class LoopSubdivision:
     """
 
     weights: csr_array
-    faces: torch.Tensor
+    faces: Tensor
 
     @classmethod
     def build(cls, faces: np.ndarray, *, vertices: int) -> LoopSubdivision:
@@ -60,12 +61,12 @@ class LoopSubdivision:
         fine = np.stack([a, ab, ca, b, bc, ab, c, ca, bc, ab, bc, ca], axis=1).reshape(-1, 3)
         return cls(weights, torch.from_numpy(fine.astype(np.int32)))
 
-    def refine(self, vertices: torch.Tensor) -> torch.Tensor:
+    def refine(self, vertices: Tensor) -> Tensor:
         """(V + E, C) float32 values of (V, C) float32 ones, on the CPU; the sums' order is fixed."""
         return torch.from_numpy(self.weights @ vertices.numpy())
 
 
-def split_corners(corners: torch.Tensor) -> torch.Tensor:
+def split_corners(corners: Tensor) -> Tensor:
     """(4 F, 3, C) values at the finer faces' corners of (F, 3, C) ones, linear within each face: what UV
     coordinates need at a seam.
     """

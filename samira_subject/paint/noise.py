@@ -7,6 +7,7 @@ import zlib
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from samira_subject.paint.noise_kernels import add_octaves, find_spots
 from samira_subject.streams import Purpose, number_of
@@ -69,7 +70,7 @@ def _octaves(points: np.ndarray, octaves: int, seed: int, field: str) -> np.ndar
     return total.numpy().astype(np.float64)
 
 
-def _places(points: np.ndarray) -> torch.Tensor:
+def _places(points: np.ndarray) -> Tensor:
     return torch.from_numpy(np.ascontiguousarray(points, np.float32))
 
 

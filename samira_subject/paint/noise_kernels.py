@@ -52,10 +52,10 @@ def _noise(p: wp.vec3, seed: wp.uint32) -> wp.float32:
 @wp.kernel(enable_backward=False)
 def add_octaves(
     first: wp.int32,
-    points: wp.array(dtype=wp.vec3),
+    points: wp.array[wp.vec3],
     octaves: wp.int32,
     seed: wp.uint32,
-    total: wp.array(dtype=wp.float32),
+    total: wp.array[wp.float32],
 ) -> None:
     """Sum of noises of halved wavelengths and strengths, each shifted so that their cells do not meet."""
     index = first + wp.tid()
@@ -72,12 +72,12 @@ def add_octaves(
 @wp.kernel(enable_backward=False)
 def find_spots(
     first: wp.int32,
-    points: wp.array(dtype=wp.vec3),
+    points: wp.array[wp.vec3],
     least: wp.float32,
     greatest: wp.float32,
     share: wp.float32,
     seed: wp.uint32,
-    strengths: wp.array(dtype=wp.float32),
+    strengths: wp.array[wp.float32],
 ) -> None:
     """The strongest spot at a place among those of the 27 cells about it; cells have size 1."""
     index = first + wp.tid()

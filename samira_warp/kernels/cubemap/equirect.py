@@ -8,18 +8,19 @@ import math
 
 import torch
 import warp as wp
+from torch import Tensor
 
 from samira_warp.kernels.runtime import launch_range
 from samira_warp.support.errors import UserError
 from samira_warp.support.validation import check_tensor
 
-_GRAIN = 2048
-"""Fewer directions than this cost less than handing them to a thread."""
+GRAIN = 2048
+"""Directions that are worth a thread."""
 
 _PI = wp.constant(math.pi)
 
 
-def picture_equirect(equirect: torch.Tensor, directions: torch.Tensor) -> torch.Tensor:
+def picture_equirect(equirect: Tensor, directions: Tensor) -> Tensor:
     """Look a panorama up for a picture of it: as soft as a lens, and no pixel shows however enlarged.
 
     Args:
@@ -40,7 +41,7 @@ def picture_equirect(equirect: torch.Tensor, directions: torch.Tensor) -> torch.
     )
     seen = torch.empty(directions.shape, device=equirect.device)
     inputs = (equirect.contiguous(), directions.reshape(-1, 3).contiguous())
-    launch_range(_picture, seen.numel() // 3, *inputs, seen.view(-1, 3), grain=_GRAIN)
+    launch_range(_picture, seen.numel() // 3, *inputs, seen.view(-1, 3), grain=GRAIN)
     return seen
 
 

@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 
 import torch
 import warp as wp
+from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from samira_warp.kernels.cubemap.filter_cpu import sum_lobes
@@ -52,7 +53,7 @@ CHANNELS_MAX = 32
 channel."""
 
 
-def irradiance(radiance: torch.Tensor, *, size: int = 16) -> torch.Tensor:
+def irradiance(radiance: Tensor, *, size: int = 16) -> Tensor:
     """Cosine-weighted mean radiance: E_d(n) = (1 / pi) sum of L max(n . l, 0) dOmega, so that a uniform light
     of 1 gives 1.
 
@@ -70,7 +71,7 @@ def irradiance(radiance: torch.Tensor, *, size: int = 16) -> torch.Tensor:
     return _Filters.apply(radiance, (Lobe(size, alpha=1.0, normalised=False),))[0]
 
 
-def prefilter(base: torch.Tensor, *, ladder: Sequence[tuple[float, int]]) -> tuple[torch.Tensor, ...]:
+def prefilter(base: Tensor, *, ladder: Sequence[tuple[float, int]]) -> tuple[Tensor, ...]:
     """The chain of mips of a light seen in ever rougher surfaces: the base itself, then GGX-weighted means of
     it.
 
@@ -105,7 +106,7 @@ class _Filters(torch.autograd.Function):
     """Several filters of one map."""
 
     @staticmethod
-    def forward(ctx: Any, base: torch.Tensor, lobes: tuple[Lobe, ...]) -> tuple[torch.Tensor, ...]:
+    def forward(ctx: Any, base: Tensor, lobes: tuple[Lobe, ...]) -> tuple[Tensor, ...]:
         parts = _spread(base)
         results, scales = [], []
         for lobe in lobes:
@@ -121,7 +122,7 @@ class _Filters(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, *grads: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
         device, columns = grads[0].device, len(PERMUTATIONS) * grads[0].shape[-1]
         parts = grads[0].new_zeros(OCTANTS, columns, FACES * ctx.base_size**2 // OCTANTS)
         for lobe, scale, grad in zip(ctx.lobes, ctx.saved_tensors, grads, strict=True):
@@ -133,7 +134,7 @@ class _Filters(torch.autograd.Function):
         return _collect(parts, ctx.base_size), None
 
 
-def _spread(cubemap: torch.Tensor) -> torch.Tensor:
+def _spread(cubemap: Tensor) -> Tensor:
     """(8, 6 C, U): the parity parts of a cubemap (6, S, S, C) in all six turns, texels last.
 
     Skinny matrix products are half as fast again with the long axis last.
@@ -143,20 +144,20 @@ def _spread(cubemap: torch.Tensor) -> torch.Tensor:
     return turned.view(*octants.shape[:2], -1).transpose(1, 2).contiguous()
 
 
-def _collect(parts: torch.Tensor, size: int) -> torch.Tensor:
+def _collect(parts: Tensor, size: int) -> Tensor:
     """(6, S, S, C) transpose of `_spread`."""
     channels = parts.shape[1] // len(PERMUTATIONS)
     rows = parts.transpose(1, 2).reshape(-1, channels)[collect_table(size, parts.device)].sum(dim=1)
     return _from_parities(rows.view(OCTANTS, -1, channels), size)
 
 
-def _to_parities(cubemap: torch.Tensor) -> torch.Tensor:
+def _to_parities(cubemap: Tensor) -> Tensor:
     """(8, U, C) even and odd parts of a cubemap (6, S, S, C)."""
     octants = cubemap.reshape(-1, cubemap.shape[-1])[symmetry(cubemap.shape[1], cubemap.device).flips]
     return (parities(cubemap.device) @ octants.view(OCTANTS, -1)).view_as(octants)
 
 
-def _from_parities(parts: torch.Tensor, size: int) -> torch.Tensor:
+def _from_parities(parts: Tensor, size: int) -> Tensor:
     """(6, S, S, C) transpose of `_to_parities`, which is 8 times its inverse."""
     octants = (parities(parts.device) @ parts.reshape(OCTANTS, -1)).view_as(parts)
     result = torch.empty_like(octants).view(-1, parts.shape[-1])
@@ -164,7 +165,7 @@ def _from_parities(parts: torch.Tensor, size: int) -> torch.Tensor:
     return result.view(FACES, size, size, -1)
 
 
-def _sum_over_texels(parts: torch.Tensor, base_size: int, lobe: Lobe) -> tuple[torch.Tensor, torch.Tensor]:
+def _sum_over_texels(parts: Tensor, base_size: int, lobe: Lobe) -> tuple[Tensor, Tensor]:
     """(8, 6 C, R) products of parity parts (8, 6 C, U) of the base with a filter's eight matrices, and (R,)
     the sums of its weights.
     """
@@ -180,7 +181,7 @@ def _sum_over_texels(parts: torch.Tensor, base_size: int, lobe: Lobe) -> tuple[t
     return products, sums
 
 
-def _sum_over_results(products: torch.Tensor, base_size: int, lobe: Lobe) -> torch.Tensor:
+def _sum_over_results(products: Tensor, base_size: int, lobe: Lobe) -> Tensor:
     """(8, 6 C, U) transpose of `_sum_over_texels`, of (8, 6 C, R)."""
     device = products.device
     octant = _octant(base_size, device)
@@ -203,7 +204,7 @@ def _weight_count(base_size: int, lobe: Lobe, device: torch.device) -> int:
     return FACES * base_size**2 * len(symmetry(lobe.size, device).representatives)
 
 
-def _weights(base_size: int, lobe: Lobe, device: torch.device) -> Iterator[tuple[slice, slice, torch.Tensor]]:
+def _weights(base_size: int, lobe: Lobe, device: torch.device) -> Iterator[tuple[slice, slice, Tensor]]:
     """Blocks (rows, texels, (8, rows, texels) weights) of the eight matrices of a filter, before
     normalisation.
     """
@@ -224,14 +225,14 @@ def _weights(base_size: int, lobe: Lobe, device: torch.device) -> Iterator[tuple
 
 
 @cached_tensors(maxsize=16)
-def _stored_weights(base_size: int, size: int, alpha: float, device: torch.device) -> torch.Tensor:
+def _stored_weights(base_size: int, size: int, alpha: float, device: torch.device) -> Tensor:
     rows, texels = len(symmetry(size, device).representatives), FACES * base_size * base_size // OCTANTS
     return _make_weights(base_size, size, alpha, slice(0, rows), slice(0, texels), device)
 
 
 def _make_weights(
     base_size: int, size: int, alpha: float, rows: slice, texels: slice, device: torch.device
-) -> torch.Tensor:
+) -> Tensor:
     """(8, rows, texels) weights of one block of the eight matrices."""
     height, width = rows.stop - rows.start, texels.stop - texels.start
     weights = torch.empty(OCTANTS, height, width, device=device)
@@ -254,7 +255,7 @@ def _make_weights(
 
 
 @cached_tensors(maxsize=16)
-def _representatives(size: int, device: torch.device) -> torch.Tensor:
+def _representatives(size: int, device: torch.device) -> Tensor:
     """(4, R): x, y and z of the directions of the representatives, and ones."""
     tables = symmetry(size, device)
     directions = texel_directions(size, device=device).view(-1, 3)[tables.flips[0][tables.representatives]]
@@ -262,7 +263,7 @@ def _representatives(size: int, device: torch.device) -> torch.Tensor:
 
 
 @cached_tensors(maxsize=16)
-def _octant(size: int, device: torch.device) -> torch.Tensor:
+def _octant(size: int, device: torch.device) -> Tensor:
     """(4, U): x, y and z of the directions, and the solid angles, of the texels of the positive octant."""
     areas = texel_solid_angles(size, device=device).expand(FACES, size, size)
     values = torch.cat([texel_directions(size, device=device), areas[..., None]], dim=-1).view(-1, 4)
@@ -343,7 +344,7 @@ def _lobe_parities(
     _lobe_run(normals[first_row + row], octant, alpha_squared, texel, run, place, weights)
 
 
-def _check(cubemap: torch.Tensor, sizes: Sequence[int]) -> None:
+def _check(cubemap: Tensor, sizes: Sequence[int]) -> None:
     check_cubemap("radiance", cubemap)
     if cubemap.shape[3] > CHANNELS_MAX:
         raise UserError("radiance", expected=f"at most {CHANNELS_MAX} channels", found=cubemap.shape[3])

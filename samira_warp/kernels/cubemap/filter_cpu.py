@@ -10,8 +10,8 @@ pair depends on its distance alone, so the same kernel with results and sources 
 
 from __future__ import annotations
 
-import torch
 import warp as wp
+from torch import Tensor
 
 from samira_warp.kernels.runtime import launch_range
 
@@ -111,9 +111,7 @@ _SUM_LOBES = r"""
 """
 
 
-def sum_lobes(
-    results: torch.Tensor, sources: torch.Tensor, values: torch.Tensor, alpha: float
-) -> tuple[torch.Tensor, torch.Tensor]:
+def sum_lobes(results: Tensor, sources: Tensor, values: Tensor, alpha: float) -> tuple[Tensor, Tensor]:
     """Sum the parity parts of a map over all of its octant, weighted by the parities of the lobe k of
     `kernels.cubemap_filter`.
 

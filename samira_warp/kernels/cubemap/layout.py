@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import torch
 import warp as wp
+from torch import Tensor
 
 from samira_warp.support.caching import cached_tensors
 from samira_warp.support.errors import UserError
@@ -21,7 +22,7 @@ FACES = 6
 
 
 def check_cubemap(
-    name: str, cubemap: torch.Tensor, *, channels: int | str = "C", device: torch.device | None = None
+    name: str, cubemap: Tensor, *, channels: int | str = "C", device: torch.device | None = None
 ) -> None:
     """Raise UserError unless ``cubemap`` is (6, S, S, channels) float32, S at least 1, and on ``device`` if
     one is named.
@@ -31,7 +32,7 @@ def check_cubemap(
         raise UserError(name, expected="square faces", found=tuple(cubemap.shape))
 
 
-def face_axes(device: torch.device | str = "cpu") -> torch.Tensor:
+def face_axes(device: torch.device | str = "cpu") -> Tensor:
     """(6, 3, 3) int64: for each face the unit vectors of its columns (s), its rows (t) and its own axis
     (OpenGL's table).
     """
@@ -48,7 +49,7 @@ def face_axes(device: torch.device | str = "cpu") -> torch.Tensor:
     )
 
 
-def texel_points(size: int, device: torch.device | str = "cpu") -> torch.Tensor:
+def texel_points(size: int, device: torch.device | str = "cpu") -> Tensor:
     """(6, S, S, 3) int64 centres of the texels on the cube [-S, S]^3: +-S along the face's axis, and S - 1, S
     - 3, ... along it.
     """
@@ -58,7 +59,7 @@ def texel_points(size: int, device: torch.device | str = "cpu") -> torch.Tensor:
     return s[..., None] * axes[..., 0, :] + t[..., None] * axes[..., 1, :] + size * axes[..., 2, :]
 
 
-def texel_index(points: torch.Tensor, size: int) -> torch.Tensor:
+def texel_index(points: Tensor, size: int) -> Tensor:
     """(...) int64 flat index, (face * S + row) * S + column, of the texels centred on ``points`` (..., 3) as
     `texel_points` gives them.
     """
@@ -72,7 +73,7 @@ def texel_index(points: torch.Tensor, size: int) -> torch.Tensor:
 
 def texel_directions(
     size: int, *, dtype: torch.dtype = torch.float32, device: torch.device | str = "cpu", supersample: int = 1
-) -> torch.Tensor:
+) -> Tensor:
     """Unit directions through the texel centres of a cubemap, or through a grid within each texel.
 
     Args:
@@ -91,7 +92,7 @@ def texel_directions(
 
 def texel_solid_angles(
     size: int, *, dtype: torch.dtype = torch.float32, device: torch.device | str = "cpu"
-) -> torch.Tensor:
+) -> Tensor:
     """(S, S) exact solid angles, steradians, of the texels of any one face; six times their sum is 4 pi.
 
     The four-corner formula: the solid angle of the rectangle from the face's centre to (s, t) is atan2(s t,
@@ -104,7 +105,7 @@ def texel_solid_angles(
 
 
 @cached_tensors()
-def mip_table(sizes: tuple[int, ...], device: torch.device) -> torch.Tensor:
+def mip_table(sizes: tuple[int, ...], device: torch.device) -> Tensor:
     """(L, 3) int32 per mip: its size, the index of its first texel, and of its first cell (see `cell_index`),
     in a packed chain.
     """

@@ -12,6 +12,7 @@ from typing import Any
 
 import torch
 import warp as wp
+from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from samira_warp.kernels.cubemap.layout import (
@@ -36,11 +37,11 @@ from samira_warp.kernels.runtime import launch_range, stream_of, warp_array
 from samira_warp.support.errors import UserError
 from samira_warp.support.validation import check_tensor
 
-_GRAIN = 4096
-"""Fewer lookups than this cost less than handing them to a thread."""
+GRAIN = 4096
+"""Lookups that are worth a thread."""
 
 
-def sample_cubemap(cubemap: torch.Tensor, directions: torch.Tensor) -> torch.Tensor:
+def sample_cubemap(cubemap: Tensor, directions: Tensor) -> Tensor:
     """Look a cubemap up, bilinearly and seamlessly.
 
     Where three faces meet, the texel that isn't there is the mean of the three that are.
@@ -61,9 +62,7 @@ def sample_cubemap(cubemap: torch.Tensor, directions: torch.Tensor) -> torch.Ten
     return _SampleMips.apply(cubemap.reshape(-1, cubemap.shape[-1]), directions, levels, (cubemap.shape[1],))
 
 
-def sample_mips(
-    mips: tuple[torch.Tensor, ...], directions: torch.Tensor, levels: torch.Tensor
-) -> torch.Tensor:
+def sample_mips(mips: tuple[Tensor, ...], directions: Tensor, levels: Tensor) -> Tensor:
     """Look a chain of cubemaps up: bilinearly in each of the two nearest levels, linearly between them.
 
     Args:
@@ -88,14 +87,12 @@ def sample_mips(
     return _SampleMips.apply(pack_mips(mips), directions, levels, tuple(mip.shape[1] for mip in mips))
 
 
-def pack_mips(mips: tuple[torch.Tensor, ...]) -> torch.Tensor:
+def pack_mips(mips: tuple[Tensor, ...]) -> Tensor:
     """(T, C) all texels of all mips, one after the other: what the kernels read."""
     return torch.cat([mip.reshape(-1, mip.shape[-1]) for mip in mips])
 
 
-def texel_gradient(
-    cells: torch.Tensor, places: torch.Tensor, grads: torch.Tensor, sizes: tuple[int, ...]
-) -> torch.Tensor:
+def texel_gradient(cells: Tensor, places: Tensor, grads: Tensor, sizes: tuple[int, ...]) -> Tensor:
     """Adjoint of bilinear lookups with respect to the texels of a packed chain of mips.
 
     Args:
@@ -115,7 +112,7 @@ def texel_gradient(
     with stream_of(device):
         wp.utils.radix_sort_pairs(warp_array(keys), warp_array(order), lookups, end_bit=count.bit_length())
     starts = torch.empty(count + 1, dtype=torch.int32, device=device)
-    launch_range(_find_starts, lookups + 1, keys, lookups, count, starts, grain=_GRAIN)
+    launch_range(_find_starts, lookups + 1, keys, lookups, count, starts, grain=GRAIN)
     sums = torch.empty(count, channels, 4, dtype=torch.float32, device=device)
     table = mip_table(sizes, device)
     launch_range(
@@ -128,14 +125,14 @@ def texel_gradient(
         table,
         cells.shape[1],
         sums,
-        grain=_GRAIN,
+        grain=GRAIN,
     )
     result = torch.empty(texels, channels, dtype=torch.float32, device=device)
-    launch_range(_gather_texels, texels * channels, sums, table, result, grain=_GRAIN)
+    launch_range(_gather_texels, texels * channels, sums, table, result, grain=GRAIN)
     return result
 
 
-def _to_sort(cells: torch.Tensor, count: int) -> tuple[torch.Tensor, torch.Tensor, int]:
+def _to_sort(cells: Tensor, count: int) -> tuple[Tensor, Tensor, int]:
     """Keys and values (int32, each with as much room again behind it) of the lookups to sort by cell, and
     their number.
 
@@ -155,8 +152,8 @@ def _to_sort(cells: torch.Tensor, count: int) -> tuple[torch.Tensor, torch.Tenso
 class _SampleMips(torch.autograd.Function):
     @staticmethod
     def forward(
-        ctx: Any, texels: torch.Tensor, directions: torch.Tensor, levels: torch.Tensor, sizes: tuple[int, ...]
-    ) -> torch.Tensor:
+        ctx: Any, texels: Tensor, directions: Tensor, levels: Tensor, sizes: tuple[int, ...]
+    ) -> Tensor:
         texels, directions, levels = texels.contiguous(), directions.contiguous(), levels.contiguous()
         result = texels.new_empty(directions.shape[0], texels.shape[1])
         launch_range(
@@ -167,7 +164,7 @@ class _SampleMips(torch.autograd.Function):
             levels,
             mip_table(sizes, texels.device),
             result,
-            grain=_GRAIN,
+            grain=GRAIN,
         )
         ctx.save_for_backward(texels, directions, levels)
         ctx.sizes = sizes
@@ -175,7 +172,7 @@ class _SampleMips(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, grads: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+    def backward(ctx: Any, grads: Tensor) -> tuple[Tensor | None, ...]:
         texels, directions, levels = ctx.saved_tensors
         count, slots = directions.shape[0], min(2, len(ctx.sizes))
         grad_directions, grad_levels = torch.empty_like(directions), torch.empty_like(levels)
@@ -194,7 +191,7 @@ class _SampleMips(torch.autograd.Function):
             grad_levels,
             cells,
             places,
-            grain=_GRAIN,
+            grain=GRAIN,
         )
         grad_texels = texel_gradient(cells, places, grads, ctx.sizes) if ctx.needs_input_grad[0] else None
         return grad_texels, grad_directions, grad_levels, None

@@ -14,6 +14,7 @@ import itertools
 from typing import NamedTuple
 
 import torch
+from torch import Tensor
 
 from samira_warp.kernels.cubemap.layout import FACES, texel_index, texel_points
 from samira_warp.support.caching import cached_tensors
@@ -37,11 +38,11 @@ class Symmetry(NamedTuple):
             permutations.
     """
 
-    flips: torch.Tensor
-    turns: torch.Tensor
-    turn_of: torch.Tensor
-    source_of: torch.Tensor
-    representatives: torch.Tensor
+    flips: Tensor
+    turns: Tensor
+    turn_of: Tensor
+    source_of: Tensor
+    representatives: Tensor
 
 
 @cached_tensors()
@@ -63,7 +64,7 @@ def symmetry(size: int, device: torch.device) -> Symmetry:
 
 
 @cached_tensors()
-def parities(device: torch.device) -> torch.Tensor:
+def parities(device: torch.device) -> Tensor:
     """(8, 8) float32 Walsh-Hadamard matrix: entry (p, f) is the sign that parity p gives to flip f. It is its
     own transpose.
     """
@@ -74,7 +75,7 @@ def parities(device: torch.device) -> torch.Tensor:
 
 
 @cached_tensors()
-def turned_parities(device: torch.device) -> torch.Tensor:
+def turned_parities(device: torch.device) -> Tensor:
     """(8, 6) int64: the parity that each permutation makes of each parity; it moves the bits as it moves the
     coordinates.
     """
@@ -85,7 +86,7 @@ def turned_parities(device: torch.device) -> torch.Tensor:
 
 
 @cached_tensors()
-def spread_table(size: int, device: torch.device) -> torch.Tensor:
+def spread_table(size: int, device: torch.device) -> Tensor:
     """(8, U, 6) int64 rows (parity U + position) of a map's parity parts that stand at each (parity,
     position) after each permutation.
     """
@@ -95,7 +96,7 @@ def spread_table(size: int, device: torch.device) -> torch.Tensor:
 
 
 @cached_tensors()
-def collect_table(size: int, device: torch.device) -> torch.Tensor:
+def collect_table(size: int, device: torch.device) -> Tensor:
     """(8 U, 6) int64: transpose of `spread_table`, the six places where each row stands, in a fixed order."""
     spread = spread_table(size, device).reshape(-1, len(PERMUTATIONS))
     places = torch.argsort(spread, dim=0) * len(PERMUTATIONS)
@@ -103,7 +104,7 @@ def collect_table(size: int, device: torch.device) -> torch.Tensor:
 
 
 @cached_tensors()
-def result_table(size: int, device: torch.device) -> torch.Tensor:
+def result_table(size: int, device: torch.device) -> Tensor:
     """(8, U) int64: where each row of a filtered map's parity parts stands in the products, (parity R +
     representative) 6 + permutation.
     """

@@ -11,6 +11,7 @@ from typing import Any
 
 import torch
 import warp as wp
+from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from samira_warp.kernels.gathering.grouping import group_by
@@ -18,8 +19,8 @@ from samira_warp.kernels.runtime import launch_range
 from samira_warp.support.errors import UserError
 from samira_warp.support.validation import check_tensor
 
-_GRAIN = 8192
-"""Fewer outputs than this cost less than handing them to a thread."""
+GRAIN = 8192
+"""Outputs that are worth a thread."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,15 +39,15 @@ class GatherTable:
         transpose_weights: (E,) float32.
     """
 
-    indices: torch.Tensor
-    weights: torch.Tensor
+    indices: Tensor
+    weights: Tensor
     sources: int
-    transpose_offsets: torch.Tensor
-    transpose_rows: torch.Tensor
-    transpose_weights: torch.Tensor
+    transpose_offsets: Tensor
+    transpose_rows: Tensor
+    transpose_weights: Tensor
 
     @classmethod
-    def build(cls, indices: torch.Tensor, weights: torch.Tensor, *, sources: int) -> GatherTable:
+    def build(cls, indices: Tensor, weights: Tensor, *, sources: int) -> GatherTable:
         """Check the entries and transpose them.
 
         Args:
@@ -88,15 +89,11 @@ class GatherTable:
         """The same map on ``device``."""
         return replace(
             self,
-            **{
-                name: value.to(device)
-                for name, value in vars(self).items()
-                if isinstance(value, torch.Tensor)
-            },
+            **{name: value.to(device) for name, value in vars(self).items() if isinstance(value, Tensor)},
         )
 
 
-def gather(values: torch.Tensor, table: GatherTable) -> torch.Tensor:
+def gather(values: Tensor, table: GatherTable) -> Tensor:
     """Apply a sparse map, differentiably in ``values``.
 
     Args:
@@ -113,7 +110,7 @@ def gather(values: torch.Tensor, table: GatherTable) -> torch.Tensor:
     return _Gather.apply(values, table)
 
 
-def bilinear_table(uv: torch.Tensor, *, width: int, height: int) -> GatherTable:
+def bilinear_table(uv: Tensor, *, width: int, height: int) -> GatherTable:
     """The map that samples a UV image bilinearly, its border held beyond the outer texel centres.
 
     Texel (row, column) has its centre at u = (column + 0.5) / W, v = 1 - (row + 0.5) / H; the image is
@@ -144,17 +141,17 @@ def bilinear_table(uv: torch.Tensor, *, width: int, height: int) -> GatherTable:
 
 class _Gather(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, values: torch.Tensor, table: GatherTable) -> torch.Tensor:
+    def forward(ctx: Any, values: Tensor, table: GatherTable) -> Tensor:
         ctx.table = table
         result = values.new_empty(table.rows, values.shape[1])
         launch_range(
-            _gather, result.numel(), table.indices, table.weights, values.contiguous(), result, grain=_GRAIN
+            _gather, result.numel(), table.indices, table.weights, values.contiguous(), result, grain=GRAIN
         )
         return result
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, grad_result: torch.Tensor) -> tuple[torch.Tensor, None]:
+    def backward(ctx: Any, grad_result: Tensor) -> tuple[Tensor, None]:
         table: GatherTable = ctx.table
         grad_values = grad_result.new_empty(table.sources, grad_result.shape[1])
         transpose = (table.transpose_offsets, table.transpose_rows, table.transpose_weights)
@@ -164,7 +161,7 @@ class _Gather(torch.autograd.Function):
             *transpose,
             grad_result.contiguous(),
             grad_values,
-            grain=_GRAIN,
+            grain=GRAIN,
         )
         return grad_values, None
 
@@ -172,10 +169,10 @@ class _Gather(torch.autograd.Function):
 @wp.kernel(enable_backward=False)
 def _gather(
     first: wp.int32,
-    indices: wp.array2d(dtype=wp.int32),
-    weights: wp.array2d(dtype=wp.float32),
-    values: wp.array2d(dtype=wp.float32),
-    result: wp.array2d(dtype=wp.float32),
+    indices: wp.array2d[wp.int32],
+    weights: wp.array2d[wp.float32],
+    values: wp.array2d[wp.float32],
+    result: wp.array2d[wp.float32],
 ) -> None:
     """One value of the result: a row and a channel."""
     index = first + wp.tid()
@@ -192,11 +189,11 @@ def _gather(
 @wp.kernel(enable_backward=False)
 def _gather_transposed(
     first: wp.int32,
-    offsets: wp.array(dtype=wp.int32),
-    rows: wp.array(dtype=wp.int32),
-    weights: wp.array(dtype=wp.float32),
-    grad_result: wp.array2d(dtype=wp.float32),
-    grad_values: wp.array2d(dtype=wp.float32),
+    offsets: wp.array[wp.int32],
+    rows: wp.array[wp.int32],
+    weights: wp.array[wp.float32],
+    grad_result: wp.array2d[wp.float32],
+    grad_values: wp.array2d[wp.float32],
 ) -> None:
     """One value of the source's gradient: a source row and a channel."""
     index = first + wp.tid()

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import torch
+from torch import Tensor
 
 
 class Groups(NamedTuple):
@@ -16,15 +17,15 @@ class Groups(NamedTuple):
             result.
     """
 
-    offsets: torch.Tensor
-    members: torch.Tensor
+    offsets: Tensor
+    members: Tensor
 
     def to(self, device: torch.device | str) -> Groups:
         """The same lists on ``device``."""
         return Groups(self.offsets.to(device), self.members.to(device))
 
 
-def group_by(keys: torch.Tensor, groups: int) -> Groups:
+def group_by(keys: Tensor, groups: int) -> Groups:
     """List the items 0 to M - 1 by their key.
 
     Args:

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import torch
 import warp as wp
+from torch import Tensor
 
 from samira_warp.kernels.runtime import launch_range
 from samira_warp.support.validation import check_tensor
 
-_GRAIN = 4096
-"""Fewer points than this cost less than handing them to a thread."""
+GRAIN = 4096
+"""Points that are worth a thread."""
 
 
-def closest_barycentrics(points: torch.Tensor, triangles: torch.Tensor) -> torch.Tensor:
+def closest_barycentrics(points: Tensor, triangles: Tensor) -> Tensor:
     """Weights of the corners at the closest point of each point's own triangle (Alg. 1); constants, without a
     gradient.
 
@@ -34,7 +35,7 @@ def closest_barycentrics(points: torch.Tensor, triangles: torch.Tensor) -> torch
     check_tensor("triangles", triangles, shape=(points.shape[0], 3, 3), device=points.device)
     barycentrics = torch.empty_like(points, memory_format=torch.contiguous_format)
     launch_range(
-        _closest, points.shape[0], points.contiguous(), triangles.contiguous(), barycentrics, grain=_GRAIN
+        _closest, points.shape[0], points.contiguous(), triangles.contiguous(), barycentrics, grain=GRAIN
     )
     return barycentrics
 
@@ -87,9 +88,9 @@ def _closest_weights(p: wp.vec3, a: wp.vec3, b: wp.vec3, c: wp.vec3) -> wp.vec3:
 @wp.kernel(enable_backward=False)
 def _closest(
     first: wp.int32,
-    points: wp.array(dtype=wp.vec3),
-    triangles: wp.array2d(dtype=wp.vec3),
-    barycentrics: wp.array(dtype=wp.vec3),
+    points: wp.array[wp.vec3],
+    triangles: wp.array2d[wp.vec3],
+    barycentrics: wp.array[wp.vec3],
 ) -> None:
     """One point: Alg. 1's loop body, clamped and normalised."""
     index = first + wp.tid()

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import torch
 import warp as wp
+from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from samira_warp.kernels.gathering.grouping import Groups, group_by
@@ -15,8 +16,8 @@ from samira_warp.kernels.runtime import launch_range
 from samira_warp.support.errors import UserError
 from samira_warp.support.validation import check_tensor
 
-_GRAIN = 1024
-"""Fewer Gaussians or triangles than this cost less than handing them to a thread."""
+GRAIN = 1024
+"""Gaussians, or triangles, that are worth a thread."""
 
 
 class BoundGaussians(NamedTuple):
@@ -29,10 +30,10 @@ class BoundGaussians(NamedTuple):
         normals: (N, 3) unit normals.
     """
 
-    means: torch.Tensor
-    quaternions: torch.Tensor
-    scales: torch.Tensor
-    normals: torch.Tensor
+    means: Tensor
+    quaternions: Tensor
+    scales: Tensor
+    normals: Tensor
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,12 +46,12 @@ class FaceBinding:
         gaussians: For each triangle its Gaussians.
     """
 
-    faces: torch.Tensor
+    faces: Tensor
     face_count: int
     gaussians: Groups
 
     @classmethod
-    def build(cls, faces: torch.Tensor, face_count: int) -> FaceBinding:
+    def build(cls, faces: Tensor, face_count: int) -> FaceBinding:
         """List the Gaussians of every triangle.
 
         Args:
@@ -76,10 +77,10 @@ class FaceBinding:
 
 
 def bind(
-    means: torch.Tensor,
-    quaternions: torch.Tensor,
-    scales: torch.Tensor,
-    normals: torch.Tensor,
+    means: Tensor,
+    quaternions: Tensor,
+    scales: Tensor,
+    normals: Tensor,
     binding: FaceBinding,
     frames: TriangleFrames,
 ) -> BoundGaussians:
@@ -116,23 +117,23 @@ def bind(
 
 class _Bind(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, binding: FaceBinding, *inputs: torch.Tensor) -> tuple[torch.Tensor, ...]:
+    def forward(ctx: Any, binding: FaceBinding, *inputs: Tensor) -> tuple[Tensor, ...]:
         inputs = tuple(value.contiguous() for value in inputs)
         ctx.save_for_backward(*inputs)
         ctx.binding = binding
         outputs = tuple(torch.empty_like(value) for value in inputs[:4])
-        launch_range(_bind, binding.faces.shape[0], binding.faces, *inputs, *outputs, grain=_GRAIN)
+        launch_range(_bind, binding.faces.shape[0], binding.faces, *inputs, *outputs, grain=GRAIN)
         return outputs
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, *grads: torch.Tensor) -> tuple[torch.Tensor | None, ...]:
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
         binding: FaceBinding = ctx.binding
         inputs = ctx.saved_tensors
         grads = tuple(grad.contiguous() for grad in grads)
         grad_inputs = tuple(torch.empty_like(value) for value in inputs)
         launch_range(
-            _bind_adjoint, binding.face_count, *binding.gaussians, *inputs, *grads, *grad_inputs, grain=_GRAIN
+            _bind_adjoint, binding.face_count, *binding.gaussians, *inputs, *grads, *grad_inputs, grain=GRAIN
         )
         return None, *grad_inputs
 
@@ -155,18 +156,18 @@ def _to_wxyz(q: wp.quat) -> wp.vec4:
 @wp.kernel(enable_backward=False)
 def _bind(
     first: wp.int32,
-    faces: wp.array(dtype=wp.int32),
-    means: wp.array(dtype=wp.vec3),
-    quaternions: wp.array(dtype=wp.vec4),
-    scales: wp.array(dtype=wp.vec3),
-    normals: wp.array(dtype=wp.vec3),
-    rotation: wp.array(dtype=wp.mat33),
-    translation: wp.array(dtype=wp.vec3),
-    scale: wp.array(dtype=wp.float32),
-    bound_means: wp.array(dtype=wp.vec3),
-    bound_quaternions: wp.array(dtype=wp.vec4),
-    bound_scales: wp.array(dtype=wp.vec3),
-    bound_normals: wp.array(dtype=wp.vec3),
+    faces: wp.array[wp.int32],
+    means: wp.array[wp.vec3],
+    quaternions: wp.array[wp.vec4],
+    scales: wp.array[wp.vec3],
+    normals: wp.array[wp.vec3],
+    rotation: wp.array[wp.mat33],
+    translation: wp.array[wp.vec3],
+    scale: wp.array[wp.float32],
+    bound_means: wp.array[wp.vec3],
+    bound_quaternions: wp.array[wp.vec4],
+    bound_scales: wp.array[wp.vec3],
+    bound_normals: wp.array[wp.vec3],
 ) -> None:
     """One Gaussian."""
     index = first + wp.tid()
@@ -182,26 +183,26 @@ def _bind(
 @wp.kernel(enable_backward=False)
 def _bind_adjoint(
     first: wp.int32,
-    offsets: wp.array(dtype=wp.int32),
-    members: wp.array(dtype=wp.int32),
-    means: wp.array(dtype=wp.vec3),
-    quaternions: wp.array(dtype=wp.vec4),
-    scales: wp.array(dtype=wp.vec3),
-    normals: wp.array(dtype=wp.vec3),
-    rotation: wp.array(dtype=wp.mat33),
-    translation: wp.array(dtype=wp.vec3),
-    scale: wp.array(dtype=wp.float32),
-    grad_bound_means: wp.array(dtype=wp.vec3),
-    grad_bound_quaternions: wp.array(dtype=wp.vec4),
-    grad_bound_scales: wp.array(dtype=wp.vec3),
-    grad_bound_normals: wp.array(dtype=wp.vec3),
-    grad_means: wp.array(dtype=wp.vec3),
-    grad_quaternions: wp.array(dtype=wp.vec4),
-    grad_scales: wp.array(dtype=wp.vec3),
-    grad_normals: wp.array(dtype=wp.vec3),
-    grad_rotation: wp.array(dtype=wp.mat33),
-    grad_translation: wp.array(dtype=wp.vec3),
-    grad_scale: wp.array(dtype=wp.float32),
+    offsets: wp.array[wp.int32],
+    members: wp.array[wp.int32],
+    means: wp.array[wp.vec3],
+    quaternions: wp.array[wp.vec4],
+    scales: wp.array[wp.vec3],
+    normals: wp.array[wp.vec3],
+    rotation: wp.array[wp.mat33],
+    translation: wp.array[wp.vec3],
+    scale: wp.array[wp.float32],
+    grad_bound_means: wp.array[wp.vec3],
+    grad_bound_quaternions: wp.array[wp.vec4],
+    grad_bound_scales: wp.array[wp.vec3],
+    grad_bound_normals: wp.array[wp.vec3],
+    grad_means: wp.array[wp.vec3],
+    grad_quaternions: wp.array[wp.vec4],
+    grad_scales: wp.array[wp.vec3],
+    grad_normals: wp.array[wp.vec3],
+    grad_rotation: wp.array[wp.mat33],
+    grad_translation: wp.array[wp.vec3],
+    grad_scale: wp.array[wp.float32],
 ) -> None:
     """One triangle: the gradients of its Gaussians, and their sums for its frame."""
     face = first + wp.tid()

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import torch
 import warp as wp
+from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from samira_warp.kernels.gathering.grouping import Groups, group_by
@@ -15,8 +16,8 @@ from samira_warp.support.constants import DEGENERATE_TRIANGLE
 from samira_warp.support.errors import UserError
 from samira_warp.support.validation import check_tensor
 
-_GRAIN = 2048
-"""Fewer triangles or vertices than this cost less than handing them to a thread."""
+GRAIN = 2048
+"""Triangles, or vertices, that are worth a thread."""
 
 
 class TriangleFrames(NamedTuple):
@@ -28,9 +29,9 @@ class TriangleFrames(NamedTuple):
         scale: (F,) k, half the sum of the first edge's length and the height over it, in the vertices' unit.
     """
 
-    rotation: torch.Tensor
-    translation: torch.Tensor
-    scale: torch.Tensor
+    rotation: Tensor
+    translation: Tensor
+    scale: Tensor
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,12 +44,12 @@ class MeshTopology:
         corners: For each vertex its corners, numbered 3 * face + corner.
     """
 
-    faces: torch.Tensor
+    faces: Tensor
     vertex_count: int
     corners: Groups
 
     @classmethod
-    def build(cls, faces: torch.Tensor, vertex_count: int) -> MeshTopology:
+    def build(cls, faces: Tensor, vertex_count: int) -> MeshTopology:
         """List the corners of every vertex.
 
         Args:
@@ -73,7 +74,7 @@ class MeshTopology:
         return MeshTopology(self.faces.to(device), self.vertex_count, self.corners.to(device))
 
 
-def triangle_frames(vertices: torch.Tensor, topology: MeshTopology) -> TriangleFrames:
+def triangle_frames(vertices: Tensor, topology: MeshTopology) -> TriangleFrames:
     """Compute every triangle's frame, differentiably in ``vertices``.
 
     With a, b, c the corners: the first column is unit(b - a), the second the unit normal of (a, b, c), the
@@ -97,9 +98,7 @@ def triangle_frames(vertices: torch.Tensor, topology: MeshTopology) -> TriangleF
 
 class _TriangleFrames(torch.autograd.Function):
     @staticmethod
-    def forward(
-        ctx: Any, vertices: torch.Tensor, topology: MeshTopology
-    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    def forward(ctx: Any, vertices: Tensor, topology: MeshTopology) -> tuple[Tensor, Tensor, Tensor]:
         vertices = vertices.contiguous()
         ctx.save_for_backward(vertices)
         ctx.topology = topology
@@ -110,24 +109,24 @@ class _TriangleFrames(torch.autograd.Function):
             vertices.new_empty(count),
         )
         launch_range(
-            _triangle_frames, count, vertices, topology.faces, rotation, translation, scale, grain=_GRAIN
+            _triangle_frames, count, vertices, topology.faces, rotation, translation, scale, grain=GRAIN
         )
         return rotation, translation, scale
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, *grads: torch.Tensor) -> tuple[torch.Tensor, None]:
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None]:
         (vertices,) = ctx.saved_tensors
         topology: MeshTopology = ctx.topology
         count = topology.faces.shape[0]
         grad_corners = vertices.new_empty(count * 3, 3)
         grads = tuple(grad.contiguous() for grad in grads)
         launch_range(
-            _triangle_frames_adjoint, count, vertices, topology.faces, *grads, grad_corners, grain=_GRAIN
+            _triangle_frames_adjoint, count, vertices, topology.faces, *grads, grad_corners, grain=GRAIN
         )
         grad_vertices = torch.empty_like(vertices)
         launch_range(
-            _sum_corners, topology.vertex_count, *topology.corners, grad_corners, grad_vertices, grain=_GRAIN
+            _sum_corners, topology.vertex_count, *topology.corners, grad_corners, grad_vertices, grain=GRAIN
         )
         return grad_vertices, None
 
@@ -140,11 +139,11 @@ def _is_degenerate(length: wp.float32, height: wp.float32, side: wp.float32) -> 
 @wp.kernel(enable_backward=False)
 def _triangle_frames(
     first: wp.int32,
-    vertices: wp.array(dtype=wp.vec3),
-    faces: wp.array2d(dtype=wp.int32),
-    rotation: wp.array(dtype=wp.mat33),
-    translation: wp.array(dtype=wp.vec3),
-    scale: wp.array(dtype=wp.float32),
+    vertices: wp.array[wp.vec3],
+    faces: wp.array2d[wp.int32],
+    rotation: wp.array[wp.mat33],
+    translation: wp.array[wp.vec3],
+    scale: wp.array[wp.float32],
 ) -> None:
     """One triangle."""
     face = first + wp.tid()
@@ -169,12 +168,12 @@ def _triangle_frames(
 @wp.kernel(enable_backward=False)
 def _triangle_frames_adjoint(
     first: wp.int32,
-    vertices: wp.array(dtype=wp.vec3),
-    faces: wp.array2d(dtype=wp.int32),
-    grad_rotation: wp.array(dtype=wp.mat33),
-    grad_translation: wp.array(dtype=wp.vec3),
-    grad_scale: wp.array(dtype=wp.float32),
-    grad_corners: wp.array(dtype=wp.vec3),
+    vertices: wp.array[wp.vec3],
+    faces: wp.array2d[wp.int32],
+    grad_rotation: wp.array[wp.mat33],
+    grad_translation: wp.array[wp.vec3],
+    grad_scale: wp.array[wp.float32],
+    grad_corners: wp.array[wp.vec3],
 ) -> None:
     """One triangle's gradients, to its own three corners."""
     face = first + wp.tid()
@@ -211,10 +210,10 @@ def _triangle_frames_adjoint(
 @wp.kernel(enable_backward=False)
 def _sum_corners(
     first: wp.int32,
-    offsets: wp.array(dtype=wp.int32),
-    corners: wp.array(dtype=wp.int32),
-    grad_corners: wp.array(dtype=wp.vec3),
-    grad_vertices: wp.array(dtype=wp.vec3),
+    offsets: wp.array[wp.int32],
+    corners: wp.array[wp.int32],
+    grad_corners: wp.array[wp.vec3],
+    grad_vertices: wp.array[wp.vec3],
 ) -> None:
     """One vertex: the sum over the corners that meet in it."""
     vertex = first + wp.tid()

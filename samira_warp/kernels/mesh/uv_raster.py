@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import torch
 import warp as wp
+from torch import Tensor
 
 from samira_warp.kernels.gathering.grouping import Groups, group_by
 from samira_warp.kernels.runtime import launch_range
@@ -23,11 +24,11 @@ class UvRaster(NamedTuple):
         barycentrics: (H, W, 3) float32 weights of the triangle's corners, 0 where there is none.
     """
 
-    face: torch.Tensor
-    barycentrics: torch.Tensor
+    face: Tensor
+    barycentrics: Tensor
 
 
-def rasterize_uv(vt: torch.Tensor, ft: torch.Tensor, *, size: int) -> UvRaster:
+def rasterize_uv(vt: Tensor, ft: Tensor, *, size: int) -> UvRaster:
     """Rasterise UV triangles at texel centres, u = (column + 0.5) / W and v = 1 - (row + 0.5) / H.
 
     Mirrored triangles count like any other; where several cover a texel the lowest face id wins. Triangles
@@ -52,7 +53,7 @@ def rasterize_uv(vt: torch.Tensor, ft: torch.Tensor, *, size: int) -> UvRaster:
     return UvRaster(face, barycentrics)
 
 
-def _bin_faces(corners: torch.Tensor, size: int) -> Groups:
+def _bin_faces(corners: Tensor, size: int) -> Groups:
     """For each tile, row by row, the faces whose bounding box touches it, in the order of their ids."""
     across = -(-size // TILE)
     low = (corners.amin(dim=1) / TILE).floor().long().clamp(min=0)
@@ -68,7 +69,7 @@ def _bin_faces(corners: torch.Tensor, size: int) -> Groups:
 
 
 @wp.func
-def _edge(start: wp.int32, end: wp.int32, texels: wp.array(dtype=wp.vec2), p: wp.vec2) -> wp.float32:
+def _edge(start: wp.int32, end: wp.int32, texels: wp.array[wp.vec2], p: wp.vec2) -> wp.float32:
     """Twice the signed area of (start, end, p), to the same bits up to the sign whichever way the edge is
     named.
     """
@@ -84,12 +85,12 @@ def _edge(start: wp.int32, end: wp.int32, texels: wp.array(dtype=wp.vec2), p: wp
 @wp.kernel(enable_backward=False)
 def _rasterize(
     first: wp.int32,
-    texels: wp.array(dtype=wp.vec2),
-    ft: wp.array2d(dtype=wp.int32),
-    tile_offsets: wp.array(dtype=wp.int32),
-    tile_faces: wp.array(dtype=wp.int32),
-    face: wp.array2d(dtype=wp.int32),
-    barycentrics: wp.array2d(dtype=wp.vec3),
+    texels: wp.array[wp.vec2],
+    ft: wp.array2d[wp.int32],
+    tile_offsets: wp.array[wp.int32],
+    tile_faces: wp.array[wp.int32],
+    face: wp.array2d[wp.int32],
+    barycentrics: wp.array2d[wp.vec3],
 ) -> None:
     """One texel: the first face of its tile's list that holds its centre."""
     index = first + wp.tid()

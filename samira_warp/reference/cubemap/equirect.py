@@ -5,11 +5,12 @@
 from __future__ import annotations
 
 import torch
+from torch import Tensor
 
 from samira_warp.light.equirect import direction_to_equirect, wrap_equirect
 
 
-def picture_equirect(equirect: torch.Tensor, directions: torch.Tensor) -> torch.Tensor:
+def picture_equirect(equirect: Tensor, directions: Tensor) -> Tensor:
     """See `kernels.equirect_lookup.picture_equirect`."""
     height, width = equirect.shape[:2]
     u, v = direction_to_equirect(directions)
@@ -26,7 +27,7 @@ def picture_equirect(equirect: torch.Tensor, directions: torch.Tensor) -> torch.
     return seen
 
 
-def _spline_weights(place: torch.Tensor) -> torch.Tensor:
+def _spline_weights(place: Tensor) -> Tensor:
     """(..., 4) weights of the uniform cubic B-spline for its four nearest knots, ``place`` (...) in 0..1
     between the middle two.
     """

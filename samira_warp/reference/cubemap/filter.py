@@ -7,17 +7,18 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import torch
+from torch import Tensor
 
 from samira_warp.kernels.cubemap.layout import texel_directions, texel_solid_angles
 
 
-def irradiance(radiance: torch.Tensor, *, size: int = 16) -> torch.Tensor:
+def irradiance(radiance: Tensor, *, size: int = 16) -> Tensor:
     """See `kernels.cubemap_filter.irradiance`; any floating dtype."""
     weights = _cosines(radiance, size).clamp(min=0) * _areas(radiance)
     return _apply(weights / torch.pi, radiance, size)
 
 
-def prefilter(base: torch.Tensor, *, ladder: Sequence[tuple[float, int]]) -> tuple[torch.Tensor, ...]:
+def prefilter(base: Tensor, *, ladder: Sequence[tuple[float, int]]) -> tuple[Tensor, ...]:
     """See `kernels.cubemap_filter.prefilter`; any floating dtype."""
     mips = [base]
     for roughness, size in ladder:
@@ -26,7 +27,7 @@ def prefilter(base: torch.Tensor, *, ladder: Sequence[tuple[float, int]]) -> tup
     return tuple(mips)
 
 
-def lobe_weights(base: torch.Tensor, roughness: float, size: int) -> torch.Tensor:
+def lobe_weights(base: Tensor, roughness: float, size: int) -> Tensor:
     """(6 size^2, B) weights D_GGX(n . h) max(n . l, 0) dOmega, before normalisation, of all texels of
     ``base`` for all of the result.
 
@@ -40,7 +41,7 @@ def lobe_weights(base: torch.Tensor, roughness: float, size: int) -> torch.Tenso
     return distribution * cosines.clamp(min=0) * _areas(base)
 
 
-def _cosines(base: torch.Tensor, size: int) -> torch.Tensor:
+def _cosines(base: Tensor, size: int) -> Tensor:
     options = {"dtype": base.dtype, "device": base.device}
     return (
         texel_directions(size, **options).view(-1, 3)
@@ -48,10 +49,10 @@ def _cosines(base: torch.Tensor, size: int) -> torch.Tensor:
     )
 
 
-def _areas(base: torch.Tensor) -> torch.Tensor:
+def _areas(base: Tensor) -> Tensor:
     size = base.shape[1]
     return texel_solid_angles(size, dtype=base.dtype, device=base.device).expand(6, size, size).reshape(-1)
 
 
-def _apply(weights: torch.Tensor, base: torch.Tensor, size: int) -> torch.Tensor:
+def _apply(weights: Tensor, base: Tensor, size: int) -> Tensor:
     return (weights @ base.reshape(-1, base.shape[-1])).view(6, size, size, -1)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import torch
+from torch import Tensor
 
 from samira_warp.kernels.cubemap.layout import FACES, face_axes, texel_index
 
 
-def sample_cubemap(cubemap: torch.Tensor, directions: torch.Tensor) -> torch.Tensor:
+def sample_cubemap(cubemap: Tensor, directions: Tensor) -> Tensor:
     """See `kernels.cubemap_lookup.sample_cubemap`: each face is widened by a border of its neighbours'
     texels, then looked up.
     """
@@ -25,9 +26,7 @@ def sample_cubemap(cubemap: torch.Tensor, directions: torch.Tensor) -> torch.Ten
     return torch.where(seen[:, None], upper * (1 - y) + lower * y, torch.zeros_like(upper))
 
 
-def sample_mips(
-    mips: tuple[torch.Tensor, ...], directions: torch.Tensor, levels: torch.Tensor
-) -> torch.Tensor:
+def sample_mips(mips: tuple[Tensor, ...], directions: Tensor, levels: Tensor) -> Tensor:
     """See `kernels.cubemap_lookup.sample_mips`."""
     seen = torch.stack([sample_cubemap(mip, directions) for mip in mips], dim=1)
     last = len(mips) - 1
@@ -38,7 +37,7 @@ def sample_mips(
     return seen[rows, first] * (1 - fraction) + seen[rows, (first + 1).clamp(max=last)] * fraction
 
 
-def project(directions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+def project(directions: Tensor) -> tuple[Tensor, Tensor, Tensor]:
     """Face (M,) int64 that directions (M, 3) meet, and their coordinates s, t (M,) on it, -1 to 1."""
     axis = directions.detach().abs().argmax(dim=-1)
     major = directions.gather(-1, axis[:, None])[:, 0]
@@ -49,7 +48,7 @@ def project(directions: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch
     return face, s, t
 
 
-def pad_faces(cubemap: torch.Tensor) -> torch.Tensor:
+def pad_faces(cubemap: Tensor) -> Tensor:
     """(6, S + 2, S + 2, C): each face with the border texels of its neighbours round it; corners are the mean
     of the three that meet.
     """

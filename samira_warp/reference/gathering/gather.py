@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import torch
+from torch import Tensor
 
 from samira_warp.kernels.gathering.gather import GatherTable
 
 
-def gather(values: torch.Tensor, table: GatherTable) -> torch.Tensor:
+def gather(values: Tensor, table: GatherTable) -> Tensor:
     """Sum weights[m, k] * values[indices[m, k]] over k: (S, C) to (M, C), in the precision of ``values``."""
     weights = table.weights.to(values.dtype)[..., None]
     terms = torch.where(weights != 0, weights * values[table.indices.long()], 0)

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import torch
+from torch import Tensor
 
 
-def closest_barycentrics(points: torch.Tensor, triangles: torch.Tensor) -> torch.Tensor:
+def closest_barycentrics(points: Tensor, triangles: Tensor) -> Tensor:
     """Weights (N, 3) of the corners (N, 3, 3) at the point of the triangle closest to each of ``points`` (N,
     3).
 
@@ -30,7 +31,7 @@ def closest_barycentrics(points: torch.Tensor, triangles: torch.Tensor) -> torch
     return torch.where(inside[:, None], foot, closest)
 
 
-def _foot(p: torch.Tensor, a: torch.Tensor, b: torch.Tensor, c: torch.Tensor) -> torch.Tensor:
+def _foot(p: Tensor, a: Tensor, b: Tensor, c: Tensor) -> Tensor:
     """Weights of the foot of the perpendicular from p to the triangle's plane; not finite for a degenerate
     triangle.
     """

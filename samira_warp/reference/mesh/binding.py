@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import torch
+from torch import Tensor
 
 from samira_warp.kernels.mesh.binding import BoundGaussians, FaceBinding
 from samira_warp.kernels.mesh.triangle_frames import TriangleFrames
 
 
 def bind(
-    means: torch.Tensor,
-    quaternions: torch.Tensor,
-    scales: torch.Tensor,
-    normals: torch.Tensor,
+    means: Tensor,
+    quaternions: Tensor,
+    scales: Tensor,
+    normals: Tensor,
     binding: FaceBinding,
     frames: TriangleFrames,
 ) -> BoundGaussians:
@@ -34,11 +35,11 @@ def bind(
     )
 
 
-def _turn(rotation: torch.Tensor, vectors: torch.Tensor) -> torch.Tensor:
+def _turn(rotation: Tensor, vectors: Tensor) -> Tensor:
     return (rotation @ vectors[..., None]).squeeze(-1)
 
 
-def quaternion_product(p: torch.Tensor, q: torch.Tensor) -> torch.Tensor:
+def quaternion_product(p: Tensor, q: Tensor) -> Tensor:
     """Hamilton product p q of (..., 4) quaternions (w, x, y, z): first q's turn, then p's."""
     pw, pv = p[..., :1], p[..., 1:]
     qw, qv = q[..., :1], q[..., 1:]
@@ -47,7 +48,7 @@ def quaternion_product(p: torch.Tensor, q: torch.Tensor) -> torch.Tensor:
     return torch.cat([scalar, vector], dim=-1)
 
 
-def rotation_to_quaternion(rotation: torch.Tensor) -> torch.Tensor:
+def rotation_to_quaternion(rotation: Tensor) -> Tensor:
     """Unit quaternions (N, 4) (w, x, y, z) of (N, 3, 3) rotations, by the largest of their components
     (Shepperd).
     """

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import torch
+from torch import Tensor
 
 from samira_warp.kernels.mesh.triangle_frames import MeshTopology, TriangleFrames
 from samira_warp.support.constants import DEGENERATE_TRIANGLE
 
 
-def triangle_frames(vertices: torch.Tensor, topology: MeshTopology) -> TriangleFrames:
+def triangle_frames(vertices: Tensor, topology: MeshTopology) -> TriangleFrames:
     """Frame r, t, k of every triangle, (V, 3) to F of each; constants r = 1 and k where a triangle is
     degenerate.
     """
@@ -30,15 +31,15 @@ def triangle_frames(vertices: torch.Tensor, topology: MeshTopology) -> TriangleF
     return TriangleFrames(rotation, (a + b + c) / 3, scale)
 
 
-def _height(edge: torch.Tensor, side: torch.Tensor) -> torch.Tensor:
+def _height(edge: Tensor, side: Tensor) -> Tensor:
     return torch.linalg.cross(torch.nn.functional.normalize(edge, dim=1, eps=1e-30), side).norm(dim=1)
 
 
-def _scale(edge: torch.Tensor, side: torch.Tensor) -> torch.Tensor:
+def _scale(edge: Tensor, side: Tensor) -> Tensor:
     return (edge.norm(dim=1) + _height(edge, side)) / 2
 
 
-def _is_degenerate(edge: torch.Tensor, side: torch.Tensor) -> torch.Tensor:
+def _is_degenerate(edge: Tensor, side: Tensor) -> Tensor:
     length = edge.norm(dim=1)
     longest = torch.maximum(length, side.norm(dim=1))
     return ~((length > 0) & (_height(edge, side) > DEGENERATE_TRIANGLE * longest))

@@ -5,11 +5,12 @@ triangle.
 from __future__ import annotations
 
 import torch
+from torch import Tensor
 
 from samira_warp.kernels.mesh.uv_raster import UvRaster
 
 
-def rasterize_uv(vt: torch.Tensor, ft: torch.Tensor, *, size: int) -> UvRaster:
+def rasterize_uv(vt: Tensor, ft: Tensor, *, size: int) -> UvRaster:
     """Lowest face id that holds each texel's centre, and the centre's weights in it; memory grows with F *
     size.
     """
@@ -20,7 +21,7 @@ def rasterize_uv(vt: torch.Tensor, ft: torch.Tensor, *, size: int) -> UvRaster:
     return UvRaster(face.to(torch.int32), barycentrics)
 
 
-def _row(points: torch.Tensor, corners: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+def _row(points: Tensor, corners: Tensor) -> tuple[Tensor, Tensor]:
     a, b, c = (corner[:, None] for corner in corners.unbind(dim=1))
     weights = torch.stack([_area(b, c, points), _area(c, a, points), _area(a, b, points)], dim=-1)
     area = weights.sum(dim=-1)
@@ -32,7 +33,7 @@ def _row(points: torch.Tensor, corners: torch.Tensor) -> tuple[torch.Tensor, tor
     return torch.where(covered, face, -1), torch.where(covered[:, None], barycentrics, 0)
 
 
-def _area(a: torch.Tensor, b: torch.Tensor, p: torch.Tensor) -> torch.Tensor:
+def _area(a: Tensor, b: Tensor, p: Tensor) -> Tensor:
     """Twice the signed area of triangle (a, b, p)."""
     return (b[..., 0] - a[..., 0]) * (p[..., 1] - a[..., 1]) - (b[..., 1] - a[..., 1]) * (
         p[..., 0] - a[..., 0]
