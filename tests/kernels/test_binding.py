@@ -277,5 +277,5 @@ def test_wrong_arguments_are_a_users_error(device, generator):
             bind(*wrong, binding, frames)
     with pytest.raises(UserError, match="rotation"):
         bind(*gaussians, binding, frames._replace(rotation=frames.rotation[1:]))
-    with pytest.raises(UserError, match="face ids 0 to 4"):
+    with pytest.raises(UserError, match="ids 0 to 4"):
         FaceBinding.build(torch.tensor([5], device=device), 5)

@@ -10,7 +10,9 @@ import warp as wp
 from kernels.scenes import cloud, turned_camera
 
 from samira_warp import kernels
-from samira_warp.kernels.raster.rasterizer import rasterize
+from samira_warp.kernels.raster.blending import blend
+from samira_warp.kernels.raster.projection import project
+from samira_warp.kernels.raster.tiles import bin_tiles
 
 WIDTH, HEIGHT = 70, 45
 CAPACITY = 8000
@@ -19,11 +21,16 @@ ARCHITECTURES = (80, 90)
 
 def cuda_modules():
     """Modules with kernels for a GPU; native snippets for a CPU are in modules of that name."""
-    names = [info.name for info in pkgutil.iter_modules(kernels.__path__) if not info.name.endswith("_cpu")]
-    modules = [importlib.import_module(f"{kernels.__name__}.{name}") for name in names]
+    rooms = pkgutil.walk_packages(kernels.__path__, prefix=f"{kernels.__name__}.")
+    modules = [importlib.import_module(info.name) for info in rooms if not info.name.endswith("_cpu")]
     return [
         module for module in modules if any(isinstance(value, wp.Kernel) for value in vars(module).values())
     ]
+
+
+def test_every_room_is_looked_into():
+    rooms = {module.__name__.split(".")[-2] for module in cuda_modules()}
+    assert rooms >= {"cubemap", "gathering", "mesh", "plain", "raster", "rays", "shading"}
 
 
 @pytest.mark.parametrize("architecture", ARCHITECTURES)
@@ -58,8 +65,12 @@ class Job:
         self.weights = [torch.randn(shape, generator=generator).to(device) for shape in shapes]
 
     def run(self, capacity=CAPACITY):
-        found = rasterize(*self.inputs, self.camera, capacity=capacity)
-        return (found.features, found.alpha, *torch.autograd.grad(found[:2], self.inputs, self.weights))
+        *gaussians, opacities, features = self.inputs
+        size = {"width": WIDTH, "height": HEIGHT}
+        projection = project(*gaussians, opacities, self.camera)
+        bins = bin_tiles(projection, opacities, capacity=capacity, **size)
+        found = blend(projection.means2d, projection.conics, opacities, features, bins, **size)
+        return *found, *torch.autograd.grad(found, self.inputs, self.weights)
 
     @torch.no_grad()
     def take_inputs(self, other):

@@ -1,7 +1,6 @@
-"""Reading coloured cubemaps inside a kernel: the four texels of a cell, their bilinear blend, its slope, and
-trilinear lookups.
+"""Reading coloured cubemaps inside a kernel: a cell's texels, their blend, its slope, trilinear lookups.
 
-`kernels.cubemap_lookup` does the same for any number of channels, as an operator of its own.
+`kernels.cubemap.lookup` does the same for any number of channels, as an operator of its own.
 """
 
 from __future__ import annotations
@@ -39,12 +38,12 @@ def blend_cell(cell: Footprint, texels: Quad) -> wp.vec3:
 
 
 @wp.func
-def cell_slope(cell: Footprint, texels: Quad, grad: wp.vec3) -> wp.vec2:
+def cell_slope(cell: Footprint, texels: Quad, grad_value: wp.vec3) -> wp.vec2:
     """Gradient with respect to the place in the cell, along x and y, from that of the bilinear value."""
-    a = wp.dot(texels[0], grad)
-    b = wp.dot(texels[1], grad)
-    c = wp.dot(texels[2], grad)
-    d = wp.dot(texels[3], grad)
+    a = wp.dot(texels[0], grad_value)
+    b = wp.dot(texels[1], grad_value)
+    c = wp.dot(texels[2], grad_value)
+    d = wp.dot(texels[3], grad_value)
     return wp.vec2((b - a) * (1.0 - cell.y) + (d - c) * cell.y, (c - a) * (1.0 - cell.x) + (d - b) * cell.x)
 
 

@@ -1,5 +1,6 @@
-"""Pictures of a panorama: the cubic B-spline of its pixels, by direction. What a column and a row mean:
-`samira_warp.light.equirect`.
+"""Pictures of a panorama: the cubic B-spline of its pixels, by direction.
+
+What a column and a row mean: `samira_warp.light.equirect`.
 """
 
 from __future__ import annotations
@@ -36,9 +37,7 @@ def picture_equirect(equirect: Tensor, directions: Tensor) -> Tensor:
     check_tensor("equirect", equirect, shape=("H", "W", 3))
     if equirect.numel() == 0:
         raise UserError("equirect", expected="at least one pixel", found=tuple(equirect.shape))
-    check_tensor(
-        "directions", directions, shape=(*("M",) * (directions.dim() - 1), 3), device=equirect.device
-    )
+    check_tensor("directions", directions, shape=(*directions.shape[:-1], 3), device=equirect.device)
     seen = torch.empty(directions.shape, device=equirect.device)
     inputs = (equirect.contiguous(), directions.reshape(-1, 3).contiguous())
     launch_range(_picture, seen.numel() // 3, *inputs, seen.view(-1, 3), grain=GRAIN)
@@ -47,9 +46,7 @@ def picture_equirect(equirect: Tensor, directions: Tensor) -> Tensor:
 
 @wp.func
 def _spline_weights(place: wp.float32) -> wp.vec4:
-    """Weights of the uniform cubic B-spline for its four nearest knots, ``place`` in 0..1 between the middle
-    two.
-    """
+    """Weights of the uniform cubic B-spline for its four nearest knots, ``place`` in 0..1 between two."""
     rest = 1.0 - place
     before = 4.0 + place * place * (3.0 * place - 6.0)
     after = 4.0 + rest * rest * (3.0 * rest - 6.0)

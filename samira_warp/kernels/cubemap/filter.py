@@ -1,15 +1,14 @@
-"""Exact GGX prefiltering and cosine irradiance of cubemaps: every texel of the light weighs in every texel of
-the result.
+"""Exact GGX prefiltering and cosine irradiance of cubemaps.
 
-Both are the sum over texels j of L_j k(n_i . l_j) dOmega_j with exact solid angles. With view = normal =
-reflection, the half vector of the GGX lobe is between normal and light, (n . h)^2 = (1 + n . l) / 2, so that
-with alpha = roughness^2
+Every texel of the light weighs in every texel of the result: both are the sum over texels j of
+L_j k(n_i . l_j) dOmega_j with exact solid angles. With view = normal = reflection, the half vector of the GGX
+lobe is between normal and light, (n . h)^2 = (1 + n . l) / 2, so that with alpha = roughness^2
 
     k(c) = max(c, 0) D_GGX / D_GGX(1) = max(c, 0) alpha^4 / (alpha^2 + (1 - alpha^2) (1 - c) / 2)^2
 
-and alpha = 1 leaves the cosine. The symmetries of the cube (`kernels.cubemap_symmetry`) turn the sum into
+and alpha = 1 leaves the cosine. The symmetries of the cube (`kernels.cubemap.symmetry`) turn the sum into
 eight matrix products. Small filters, such as a training step's, keep the matrices; for large ones
-`kernels.cubemap_filter_cpu` makes them within the product.
+`kernels.cubemap.filter_cpu` makes them within the product.
 """
 
 from __future__ import annotations
@@ -49,13 +48,14 @@ _BLOCK_WIDTH = 4096
 """Texels of such a block."""
 
 CHANNELS_MAX = 32
-"""Channels of a map: `kernels.cubemap_filter_cpu` keeps the sums of all of them on a thread's stack, 12 KB a
+"""Channels of a map: `kernels.cubemap.filter_cpu` keeps the sums of all of them on a thread's stack, 12 KB a
 channel."""
 
 
 def irradiance(radiance: Tensor, *, size: int = 16) -> Tensor:
-    """Cosine-weighted mean radiance: E_d(n) = (1 / pi) sum of L max(n . l, 0) dOmega, so that a uniform light
-    of 1 gives 1.
+    """Cosine-weighted mean radiance: a uniform light of 1 gives 1.
+
+    It is E_d(n) = (1 / pi) sum of L max(n . l, 0) dOmega.
 
     Args:
         radiance: (6, S, S, C) float32, linear; S even, C at most 32.
@@ -67,13 +67,15 @@ def irradiance(radiance: Tensor, *, size: int = 16) -> Tensor:
     Raises:
         UserError: A wrong shape or dtype, too many channels, or an odd size.
     """
-    _check(radiance, (size,))
-    return _Filters.apply(radiance, (Lobe(size, alpha=1.0, normalised=False),))[0]
+    _check("radiance", radiance, (size,))
+    (result,) = _Filters.apply(radiance, (Lobe(size, alpha=1.0, normalised=False),))
+    return result
 
 
 def prefilter(base: Tensor, *, ladder: Sequence[tuple[float, int]]) -> tuple[Tensor, ...]:
-    """The chain of mips of a light seen in ever rougher surfaces: the base itself, then GGX-weighted means of
-    it.
+    """The chain of mips of a light seen in ever rougher surfaces.
+
+    First the base itself, then GGX-weighted means of it.
 
     Args:
         base: (6, S, S, C) float32, linear radiance; S even, C at most 32.
@@ -86,7 +88,7 @@ def prefilter(base: Tensor, *, ladder: Sequence[tuple[float, int]]) -> tuple[Ten
     Raises:
         UserError: A wrong shape or dtype, too many channels, an odd size, or a roughness out of range.
     """
-    _check(base, [size for _, size in ladder])
+    _check("base", base, [size for _, size in ladder])
     for roughness, _ in ladder:
         if not 0 < roughness <= 1:
             raise UserError("ladder", expected="roughness in (0, 1]", found=roughness)
@@ -110,9 +112,12 @@ class _Filters(torch.autograd.Function):
         parts = _spread(base)
         results, scales = [], []
         for lobe in lobes:
+            # the sum over texels, for one representative of each orbit and all six turns of the map ...
             products, sums = _sum_over_texels(parts, base.shape[1], lobe)
-            scales.append(1.0 / sums if lobe.normalised else torch.full_like(sums, 1.0 / torch.pi))
-            products = (products * scales[-1]).transpose(1, 2).reshape(-1, base.shape[-1])
+            scale = 1.0 / sums if lobe.normalised else torch.full_like(sums, 1.0 / torch.pi)
+            scales.append(scale)
+            # ... which are the results at the places where the turns carry the representative
+            products = (products * scale).transpose(1, 2).reshape(-1, base.shape[-1])
             results.append(
                 _from_parities(products[result_table(lobe.size, base.device)], lobe.size) / OCTANTS
             )
@@ -122,16 +127,19 @@ class _Filters(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
-        device, columns = grads[0].device, len(PERMUTATIONS) * grads[0].shape[-1]
-        parts = grads[0].new_zeros(OCTANTS, columns, FACES * ctx.base_size**2 // OCTANTS)
-        for lobe, scale, grad in zip(ctx.lobes, ctx.saved_tensors, grads, strict=True):
-            products = grad.new_zeros(OCTANTS * len(scale) * len(PERMUTATIONS), grad.shape[-1])
-            # No row of the products is read twice, so this copies and never adds.
-            products[result_table(lobe.size, device)] = _to_parities(grad) / OCTANTS
-            products = (products.view(OCTANTS, -1, columns) * scale[:, None]).transpose(1, 2).contiguous()
-            parts += _sum_over_results(products, ctx.base_size, lobe)
-        return _collect(parts, ctx.base_size), None
+    def backward(ctx: Any, *grad_results: Tensor) -> tuple[Tensor | None, ...]:
+        # the transposes of the forward pass's steps, last to first; what the lobes give the base adds up
+        first, *_ = grad_results
+        device, columns = first.device, len(PERMUTATIONS) * first.shape[-1]
+        grad_parts = first.new_zeros(OCTANTS, columns, FACES * ctx.base_size**2 // OCTANTS)
+        for lobe, scale, grad in zip(ctx.lobes, ctx.saved_tensors, grad_results, strict=True):
+            grad_products = grad.new_zeros(OCTANTS * len(scale) * len(PERMUTATIONS), grad.shape[-1])
+            # no row of the products was read twice, so this copies and never adds
+            grad_products[result_table(lobe.size, device)] = _to_parities(grad) / OCTANTS
+            grad_products = grad_products.view(OCTANTS, -1, columns) * scale[:, None]
+            grad_products = grad_products.transpose(1, 2).contiguous()
+            grad_parts += _sum_over_results(grad_products, ctx.base_size, lobe)
+        return _collect(grad_parts, ctx.base_size), None
 
 
 def _spread(cubemap: Tensor) -> Tensor:
@@ -166,8 +174,15 @@ def _from_parities(parts: Tensor, size: int) -> Tensor:
 
 
 def _sum_over_texels(parts: Tensor, base_size: int, lobe: Lobe) -> tuple[Tensor, Tensor]:
-    """(8, 6 C, R) products of parity parts (8, 6 C, U) of the base with a filter's eight matrices, and (R,)
-    the sums of its weights.
+    """Products of the base's parity parts with a filter's eight matrices, and the sums of its weights.
+
+    Args:
+        parts: (8, 6 C, U) parity parts of the base.
+        base_size: S of the base.
+        lobe: The filter.
+
+    Returns:
+        (8, 6 C, R) products and (R,) sums.
     """
     device = parts.device
     if _is_fused(base_size, lobe, device):
@@ -176,7 +191,7 @@ def _sum_over_texels(parts: Tensor, base_size: int, lobe: Lobe) -> tuple[Tensor,
     products, sums = parts.new_zeros(OCTANTS, parts.shape[1], rows), parts.new_zeros(rows)
     for block, texels, weights in _weights(base_size, lobe, device):
         products[..., block] += parts[..., texels] @ weights.transpose(1, 2)
-        # The even parity of a row is the sum over the octants.
+        # the even parity of a row is the sum over the octants
         sums[block] += weights[0].sum(dim=1)
     return products, sums
 
@@ -186,7 +201,9 @@ def _sum_over_results(products: Tensor, base_size: int, lobe: Lobe) -> Tensor:
     device = products.device
     octant = _octant(base_size, device)
     if _is_fused(base_size, lobe, device):
-        return octant[3] * sum_lobes(octant, _representatives(lobe.size, device), products, lobe.alpha)[0]
+        *_, areas = octant
+        sums, _ = sum_lobes(octant, _representatives(lobe.size, device), products, lobe.alpha)
+        return areas * sums
     parts = products.new_zeros(*products.shape[:2], octant.shape[1])
     for block, texels, weights in _weights(base_size, lobe, device):
         parts[..., texels] += products[..., block] @ weights
@@ -194,9 +211,7 @@ def _sum_over_results(products: Tensor, base_size: int, lobe: Lobe) -> Tensor:
 
 
 def _is_fused(base_size: int, lobe: Lobe, device: torch.device) -> bool:
-    """Whether the weights of a filter are better made within its sums: too many to keep, and on a CPU, whose
-    memory is slow.
-    """
+    """Whether a filter's weights are better made within its sums: too many to keep, and on a slow memory."""
     return device.type == "cpu" and _weight_count(base_size, lobe, device) > _CACHED_WEIGHTS
 
 
@@ -205,9 +220,7 @@ def _weight_count(base_size: int, lobe: Lobe, device: torch.device) -> int:
 
 
 def _weights(base_size: int, lobe: Lobe, device: torch.device) -> Iterator[tuple[slice, slice, Tensor]]:
-    """Blocks (rows, texels, (8, rows, texels) weights) of the eight matrices of a filter, before
-    normalisation.
-    """
+    """Blocks (rows, texels, (8, rows, texels) weights) of a filter's eight matrices, not normalised."""
     rows = len(symmetry(lobe.size, device).representatives)
     texels = FACES * base_size * base_size // OCTANTS
     if _weight_count(base_size, lobe, device) <= _CACHED_WEIGHTS:
@@ -236,21 +249,13 @@ def _make_weights(
     """(8, rows, texels) weights of one block of the eight matrices."""
     height, width = rows.stop - rows.start, texels.stop - texels.start
     weights = torch.empty(OCTANTS, height, width, device=device)
-    # On the CPU a thread's inner loop is vectorised over a row's texels; on a GPU neighbouring threads take
-    # neighbouring texels.
+    # on the CPU a thread's inner loop is vectorised over a row's texels; on a GPU neighbouring threads take
+    # neighbouring texels
     run = 1 if device.type == "cuda" else width
-    normals, octant = _representatives(size, device)[:3].T.contiguous(), _octant(base_size, device)
-    launch_range(
-        _lobe_parities,
-        height * (width // run),
-        normals,
-        octant,
-        alpha * alpha,
-        rows.start,
-        texels.start,
-        run,
-        weights,
-    )
+    *axes, _ = _representatives(size, device)
+    normals, octant = torch.stack(axes, dim=1), _octant(base_size, device)
+    block = (alpha * alpha, rows.start, texels.start, run)
+    launch_range(_lobe_parities, height * (width // run), normals, octant, *block, weights)
     return weights
 
 
@@ -279,10 +284,13 @@ _LOBE_RUN = """
     float* __restrict__ out = weights.data + place;
     const float slope = 0.25f * (1.0f - alpha_squared);
     for (int i = 0; i < run; ++i) {
-        // Squared distances along each axis, as it is and flipped.
-        const float dx[2] = {(normal[0] - x[i]) * (normal[0] - x[i]), (normal[0] + x[i]) * (normal[0] + x[i])};
-        const float dy[2] = {(normal[1] - y[i]) * (normal[1] - y[i]), (normal[1] + y[i]) * (normal[1] + y[i])};
-        const float dz[2] = {(normal[2] - z[i]) * (normal[2] - z[i]), (normal[2] + z[i]) * (normal[2] + z[i])};
+        // ---- The lobe's eight values: squared distances along each axis, as it is and flipped.
+        const float dx[2] = {
+            (normal[0] - x[i]) * (normal[0] - x[i]), (normal[0] + x[i]) * (normal[0] + x[i])};
+        const float dy[2] = {
+            (normal[1] - y[i]) * (normal[1] - y[i]), (normal[1] + y[i]) * (normal[1] + y[i])};
+        const float dz[2] = {
+            (normal[2] - z[i]) * (normal[2] - z[i]), (normal[2] + z[i]) * (normal[2] + z[i])};
         float w[8];
         #pragma unroll
         for (int f = 0; f < 8; ++f) {
@@ -291,6 +299,7 @@ _LOBE_RUN = """
             const float cosine = 1.0f - 0.5f * distance;
             w[f] = area[i] * (cosine > 0.0f ? cosine : 0.0f) * falloff * falloff;
         }
+        // ---- Their parities: three rounds of butterflies, in place.
         #pragma unroll
         for (int bit = 1; bit < 8; bit *= 2) {
             #pragma unroll
@@ -309,8 +318,8 @@ _LOBE_RUN = """
 transform.
 
 It is native because only then does LLVM vectorise the loop, which makes it twenty times as fast;
-`reference.filtering` specifies it. 1 - c is half the squared distance of the unit vectors, which does not
-cancel where the lobe is narrow.
+`reference.cubemap.filter` specifies it. 1 - c is half the squared distance of the unit vectors, which does
+not cancel where the lobe is narrow.
 """
 
 
@@ -344,10 +353,10 @@ def _lobe_parities(
     _lobe_run(normals[first_row + row], octant, alpha_squared, texel, run, place, weights)
 
 
-def _check(cubemap: Tensor, sizes: Sequence[int]) -> None:
-    check_cubemap("radiance", cubemap)
+def _check(name: str, cubemap: Tensor, sizes: Sequence[int]) -> None:
+    check_cubemap(name, cubemap)
     if cubemap.shape[3] > CHANNELS_MAX:
-        raise UserError("radiance", expected=f"at most {CHANNELS_MAX} channels", found=cubemap.shape[3])
+        raise UserError(name, expected=f"at most {CHANNELS_MAX} channels", found=cubemap.shape[3])
     for size in (cubemap.shape[1], *sizes):
         if size < 2 or size % 2:
             raise UserError("cubemap size", expected="an even number", found=size)

@@ -24,18 +24,14 @@ FACES = 6
 def check_cubemap(
     name: str, cubemap: Tensor, *, channels: int | str = "C", device: torch.device | None = None
 ) -> None:
-    """Raise UserError unless ``cubemap`` is (6, S, S, channels) float32, S at least 1, and on ``device`` if
-    one is named.
-    """
+    """Raise UserError unless ``cubemap`` is (6, S, S, channels) float32, S at least 1, on ``device``."""
     check_tensor(name, cubemap, shape=(FACES, "S", "S", channels), device=device)
-    if cubemap.shape[1] != cubemap.shape[2] or cubemap.shape[1] == 0:
-        raise UserError(name, expected="square faces", found=tuple(cubemap.shape))
+    if cubemap.shape[1] == 0:
+        raise UserError(name, expected="at least one texel", found=tuple(cubemap.shape))
 
 
 def face_axes(device: torch.device | str = "cpu") -> Tensor:
-    """(6, 3, 3) int64: for each face the unit vectors of its columns (s), its rows (t) and its own axis
-    (OpenGL's table).
-    """
+    """(6, 3, 3) int64 unit vectors of each face's columns (s), rows (t) and own axis: OpenGL's table."""
     return torch.tensor(
         [
             [[0, 0, -1], [0, -1, 0], [1, 0, 0]],
@@ -50,8 +46,9 @@ def face_axes(device: torch.device | str = "cpu") -> Tensor:
 
 
 def texel_points(size: int, device: torch.device | str = "cpu") -> Tensor:
-    """(6, S, S, 3) int64 centres of the texels on the cube [-S, S]^3: +-S along the face's axis, and S - 1, S
-    - 3, ... along it.
+    """(6, S, S, 3) int64 centres of the texels on the cube [-S, S]^3.
+
+    They are +-S along the face's axis, and 1 - S, 3 - S, ..., S - 1 along its columns and rows.
     """
     axes = face_axes(device)[:, None, None]
     steps = 2 * torch.arange(size, device=device) + 1 - size
@@ -60,8 +57,9 @@ def texel_points(size: int, device: torch.device | str = "cpu") -> Tensor:
 
 
 def texel_index(points: Tensor, size: int) -> Tensor:
-    """(...) int64 flat index, (face * S + row) * S + column, of the texels centred on ``points`` (..., 3) as
-    `texel_points` gives them.
+    """(...) int64 flat index, (face * S + row) * S + column, of the texels centred on points (..., 3).
+
+    The points are as `texel_points` gives them.
     """
     axis = points.abs().argmax(dim=-1)
     face = 2 * axis + (points.gather(-1, axis[..., None])[..., 0] < 0)
@@ -106,8 +104,9 @@ def texel_solid_angles(
 
 @cached_tensors()
 def mip_table(sizes: tuple[int, ...], device: torch.device) -> Tensor:
-    """(L, 3) int32 per mip: its size, the index of its first texel, and of its first cell (see `cell_index`),
-    in a packed chain.
+    """(L, 3) int32 per mip of a packed chain: size, index of its first texel, of its first cell.
+
+    Cells are counted as in `cell_index`.
     """
     rows, texel, cell = [], 0, 0
     for size in sizes:
@@ -127,7 +126,7 @@ class FacePoint:
 
 
 @wp.func
-def project(direction: wp.vec3) -> FacePoint:
+def find_face(direction: wp.vec3) -> FacePoint:
     """The face that a direction meets, and where; on a tie x comes before y before z."""
     size = wp.vec3(wp.abs(direction[0]), wp.abs(direction[1]), wp.abs(direction[2]))
     axis = wp.int32(2)
@@ -152,8 +151,10 @@ def project(direction: wp.vec3) -> FacePoint:
 
 
 @wp.func
-def project_adjoint(direction: wp.vec3, point: FacePoint, grad_s: wp.float32, grad_t: wp.float32) -> wp.vec3:
-    """Gradient with respect to the direction of `project`, from those with respect to s and t."""
+def find_face_adjoint(
+    direction: wp.vec3, point: FacePoint, grad_s: wp.float32, grad_t: wp.float32
+) -> wp.vec3:
+    """Gradient with respect to the direction of `find_face`, from those with respect to s and t."""
     axis = point.face // 2
     sign = wp.where(point.face % 2 == 1, -1.0, 1.0)
     scale = 1.0 / wp.abs(direction[axis])
@@ -213,11 +214,11 @@ def neighbour_face(face: wp.int32, ds: wp.int32, dt: wp.int32) -> wp.int32:
 
 @wp.func
 def texel_at(face: wp.int32, column: wp.int32, row: wp.int32, size: wp.int32) -> wp.int32:
-    """Index of a texel whose column or row may be one step over an edge; -1 if both are, where three faces
-    meet and no texel is.
+    """Index of a texel whose column or row may be one step over an edge.
 
-    Over an edge lies the neighbour's border texel with the same place along the edge: the point (S + 1, t,
-    S), in units of half a texel, folds to (S, t, S - 1).
+    It is -1 if both are: there three faces meet, and no texel is. Over an edge lies the neighbour's border
+    texel with the same place along the edge: the point (S + 1, t, S), in units of half a texel, folds to (S,
+    t, S - 1).
     """
     over_s = wp.where(column < 0, -1, wp.where(column >= size, 1, 0))
     over_t = wp.where(row < 0, -1, wp.where(row >= size, 1, 0))
@@ -266,8 +267,9 @@ def footprint(point: FacePoint, size: wp.int32) -> Footprint:
 
 @wp.func
 def cell_texels(cell: Footprint, size: wp.int32) -> wp.vec4i:
-    """The cell's texels: (column, row), (column + 1, row), (column, row + 1), (column + 1, row + 1); -1 for a
-    cube's corner.
+    """The cell's texels, -1 for a cube's corner.
+
+    In order: (column, row), (column + 1, row), (column, row + 1), (column + 1, row + 1).
     """
     return wp.vec4i(
         texel_at(cell.face, cell.column, cell.row, size),
@@ -279,8 +281,9 @@ def cell_texels(cell: Footprint, size: wp.int32) -> wp.vec4i:
 
 @wp.func
 def cell_index(cell: Footprint, size: wp.int32) -> wp.int32:
-    """Index of a cell among the 6 (S + 1)^2 of a map, a row of which starts half a texel before the face and
-    ends half a texel after.
+    """Index of a cell among the 6 (S + 1)^2 of a map.
+
+    A row of cells starts half a texel before its face and ends half a texel after.
     """
     return (cell.face * (size + 1) + cell.row + 1) * (size + 1) + cell.column + 1
 
@@ -301,9 +304,7 @@ def bilinear_weights(cell: Footprint) -> wp.vec4:
 
 @wp.func
 def spread_corner(weights: wp.vec4, texels: wp.vec4i) -> wp.vec4:
-    """Where three faces meet, the missing texel is the mean of the three others: a third of its weight goes
-    to each of them.
-    """
+    """Where three faces meet, give each texel a third of the missing one's weight: it is their mean."""
     missing = wp.float32(0.0)
     for k in range(4):
         if texels[k] < 0:

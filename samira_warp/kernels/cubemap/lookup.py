@@ -1,9 +1,9 @@
 """Seamless lookups in cubemaps and chains of cubemap mips, differentiable in texels, directions and levels.
 
 A lookup reads the cell of four texel centres around its direction; cells reach over the edges of a face
-(`kernels.cubemap`), so the result is continuous everywhere. The adjoint to the texels is a gather in two
-steps: lookups are sorted by cell, each cell sums its own lookups in their order, and each texel sums the
-cells it is a corner of. No atomics: the same bits every time, for any number of threads.
+(`texel_at`), so the result is continuous everywhere. The adjoint to the texels is a gather in two steps:
+lookups are sorted by cell, each cell sums its own lookups in their order, and each texel sums the cells it is
+a corner of. No atomics: the same bits every time, for any number of threads.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ from samira_warp.kernels.cubemap.layout import (
     cell_texels,
     check_cubemap,
     face_point,
+    find_face,
+    find_face_adjoint,
     footprint,
     mip_table,
     neighbour_face,
     point_s,
     point_t,
-    project,
-    project_adjoint,
     spread_corner,
 )
 from samira_warp.kernels.runtime import launch_range, stream_of, warp_array
 from samira_warp.support.errors import UserError
-from samira_warp.support.validation import check_tensor
+from samira_warp.support.validation import check_tensor, check_tensors
 
 GRAIN = 4096
 """Lookups that are worth a thread."""
@@ -79,11 +79,11 @@ def sample_mips(mips: tuple[Tensor, ...], directions: Tensor, levels: Tensor) ->
     """
     if not mips:
         raise UserError("mips", expected="at least one cubemap", found="none")
+    check_cubemap("mips[0]", mips[0])
     channels, device = mips[0].shape[-1], mips[0].device
-    for mip in mips:
-        check_cubemap("mips", mip, channels=channels, device=device)
-    check_tensor("directions", directions, shape=("M", 3), device=device)
-    check_tensor("levels", levels, shape=(directions.shape[0],), device=device)
+    for level, mip in enumerate(mips):
+        check_cubemap(f"mips[{level}]", mip, channels=channels, device=device)
+    check_tensors(("directions", directions, ("M", 3)), ("levels", levels, ("M",)), device=device)
     return _SampleMips.apply(pack_mips(mips), directions, levels, tuple(mip.shape[1] for mip in mips))
 
 
@@ -92,52 +92,47 @@ def pack_mips(mips: tuple[Tensor, ...]) -> Tensor:
     return torch.cat([mip.reshape(-1, mip.shape[-1]) for mip in mips])
 
 
-def texel_gradient(cells: Tensor, places: Tensor, grads: Tensor, sizes: tuple[int, ...]) -> Tensor:
+def texel_gradient(cells: Tensor, places: Tensor, grad_lookups: Tensor, sizes: tuple[int, ...]) -> Tensor:
     """Adjoint of bilinear lookups with respect to the texels of a packed chain of mips.
 
     Args:
         cells: (K, R) int32 cell of each lookup, counted over the chain (`mip_table`); the count of cells for
             a lookup to leave out.
         places: (K, R, 3) float32: x and y within the cell, and the lookup's weight.
-        grads: (K, C) float32 gradients of the sums of the R weighted lookups.
+        grad_lookups: (K, C) float32 gradients of the sums of the R weighted lookups.
         sizes: S of each mip.
 
     Returns:
         (T, C) float32.
     """
-    channels, device = grads.shape[1], grads.device
+    channels, device = grad_lookups.shape[1], grad_lookups.device
     texels = sum(FACES * size * size for size in sizes)
     count = sum(FACES * (size + 1) ** 2 for size in sizes)
+
+    # lookups by cell, stably: each cell's stay in their order
     keys, order, lookups = _to_sort(cells.view(-1), count)
     with stream_of(device):
         wp.utils.radix_sort_pairs(warp_array(keys), warp_array(order), lookups, end_bit=count.bit_length())
     starts = torch.empty(count + 1, dtype=torch.int32, device=device)
     launch_range(_find_starts, lookups + 1, keys, lookups, count, starts, grain=GRAIN)
+
+    # each cell sums what goes to its four corners
     sums = torch.empty(count, channels, 4, dtype=torch.float32, device=device)
-    table = mip_table(sizes, device)
-    launch_range(
-        _sum_cells,
-        count * channels,
-        starts,
-        order,
-        places.view(-1, 3),
-        grads,
-        table,
-        cells.shape[1],
-        sums,
-        grain=GRAIN,
-    )
-    result = torch.empty(texels, channels, dtype=torch.float32, device=device)
-    launch_range(_gather_texels, texels * channels, sums, table, result, grain=GRAIN)
-    return result
+    table, slots = mip_table(sizes, device), cells.shape[1]
+    inputs = (starts, order, places.view(-1, 3), grad_lookups, table, slots)
+    launch_range(_sum_cells, count * channels, *inputs, sums, grain=GRAIN)
+
+    # each texel sums the cells that it is a corner of
+    grad_texels = torch.empty(texels, channels, dtype=torch.float32, device=device)
+    launch_range(_gather_texels, texels * channels, sums, table, grad_texels, grain=GRAIN)
+    return grad_texels
 
 
 def _to_sort(cells: Tensor, count: int) -> tuple[Tensor, Tensor, int]:
-    """Keys and values (int32, each with as much room again behind it) of the lookups to sort by cell, and
-    their number.
+    """Keys and values of the lookups to sort by cell, and their number.
 
-    On a CPU those to leave out, most of an image's background, stay out of the sort; a GPU would have to wait
-    for their number.
+    Both are int32, with as much room again behind them for the sort. On a CPU those to leave out, most of an
+    image's background, stay out of the sort; a GPU would have to wait for their number.
     """
     if cells.device.type == "cpu":
         kept = torch.nonzero(cells < count)[:, 0].to(torch.int32)
@@ -155,45 +150,31 @@ class _SampleMips(torch.autograd.Function):
         ctx: Any, texels: Tensor, directions: Tensor, levels: Tensor, sizes: tuple[int, ...]
     ) -> Tensor:
         texels, directions, levels = texels.contiguous(), directions.contiguous(), levels.contiguous()
-        result = texels.new_empty(directions.shape[0], texels.shape[1])
-        launch_range(
-            _sample,
-            directions.shape[0],
-            texels,
-            directions,
-            levels,
-            mip_table(sizes, texels.device),
-            result,
-            grain=GRAIN,
-        )
+        count, table = directions.shape[0], mip_table(sizes, texels.device)
+        result = texels.new_empty(count, texels.shape[1])
+        launch_range(_sample, count, texels, directions, levels, table, result, grain=GRAIN)
         ctx.save_for_backward(texels, directions, levels)
         ctx.sizes = sizes
         return result
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, grads: Tensor) -> tuple[Tensor | None, ...]:
+    def backward(ctx: Any, grad_result: Tensor) -> tuple[Tensor | None, ...]:
         texels, directions, levels = ctx.saved_tensors
+        wants_texels, *_ = ctx.needs_input_grad
+        grad_result, table = grad_result.contiguous(), mip_table(ctx.sizes, grad_result.device)
         count, slots = directions.shape[0], min(2, len(ctx.sizes))
+
+        # to directions and levels lookup by lookup, which leaves behind where it read
         grad_directions, grad_levels = torch.empty_like(directions), torch.empty_like(levels)
-        cells = torch.empty(count, slots, dtype=torch.int32, device=grads.device)
-        places = torch.empty(count, slots, 3, dtype=torch.float32, device=grads.device)
-        grads, table = grads.contiguous(), mip_table(ctx.sizes, grads.device)
-        launch_range(
-            _sample_adjoint,
-            count,
-            texels,
-            directions,
-            levels,
-            table,
-            grads,
-            grad_directions,
-            grad_levels,
-            cells,
-            places,
-            grain=GRAIN,
-        )
-        grad_texels = texel_gradient(cells, places, grads, ctx.sizes) if ctx.needs_input_grad[0] else None
+        cells = torch.empty(count, slots, dtype=torch.int32, device=texels.device)
+        places = torch.empty(count, slots, 3, dtype=torch.float32, device=texels.device)
+        inputs = (texels, directions, levels, table, grad_result)
+        outputs = (grad_directions, grad_levels, cells, places)
+        launch_range(_sample_adjoint, count, *inputs, *outputs, grain=GRAIN)
+
+        # to the texels, which many lookups share, by gathering
+        grad_texels = texel_gradient(cells, places, grad_result, ctx.sizes) if wants_texels else None
         return grad_texels, grad_directions, grad_levels, None
 
 
@@ -212,9 +193,10 @@ def level_moves(level: wp.float32, levels: wp.int32) -> wp.bool:
 
 
 @wp.func
-def _blend(
+def _weigh(
     texels: wp.array2d[wp.float32], first: wp.int32, taps: wp.vec4i, weights: wp.vec4, channel: wp.int32
 ) -> wp.float32:
+    """Weighted sum of a cell's texels, the missing one left out."""
     result = wp.float32(0.0)
     for k in range(4):
         if taps[k] >= 0:
@@ -238,7 +220,7 @@ def _sample(
         result[m, c] = 0.0
     if wp.length_sq(direction) == 0.0:
         return
-    point = project(direction)
+    point = find_face(direction)
     lower, fraction = lower_level(levels[m], table.shape[0])
     for slot in range(2):
         share = wp.where(slot == 0, 1.0 - fraction, fraction)
@@ -248,7 +230,7 @@ def _sample(
             taps = cell_texels(cell, table[level, 0])
             weights = share * spread_corner(bilinear_weights(cell), taps)
             for c in range(channels):
-                result[m, c] += _blend(texels, table[level, 1], taps, weights, c)
+                result[m, c] += _weigh(texels, table[level, 1], taps, weights, c)
 
 
 @wp.kernel(enable_backward=False)
@@ -258,7 +240,7 @@ def _sample_adjoint(
     directions: wp.array[wp.vec3],
     levels: wp.array[wp.float32],
     table: wp.array2d[wp.int32],
-    grads: wp.array2d[wp.float32],
+    grad_result: wp.array2d[wp.float32],
     grad_directions: wp.array[wp.vec3],
     grad_levels: wp.array[wp.float32],
     cells: wp.array2d[wp.int32],
@@ -270,7 +252,8 @@ def _sample_adjoint(
     grad_s = wp.float32(0.0)
     grad_t = wp.float32(0.0)
     grad_level = wp.float32(0.0)
-    point = project(direction)
+    point = find_face(direction)
+    # the lookup again, in both levels
     lower, fraction = lower_level(levels[m], count)
     seen = wp.length_sq(direction) > 0.0
     for slot in range(wp.min(count, 2)):
@@ -278,22 +261,25 @@ def _sample_adjoint(
         size = table[level, 0]
         share = wp.where(slot == 0, 1.0 - fraction, fraction)
         cell = footprint(point, size)
+        # where it read, for the texels; what reads nothing counts as in the cell after the last
         cells[m, slot] = table[level, 2] + cell_index(cell, size)
         places[m, slot] = wp.vec3(cell.x, cell.y, share)
         if not seen or share == 0.0:
             cells[m, slot] = table[count - 1, 2] + cell_count(table[count - 1, 0])
+        # the slopes of the bilinear weights by x and y are weights, too
         taps = cell_texels(cell, size)
         weights = spread_corner(bilinear_weights(cell), taps)
         along_x = spread_corner(wp.vec4(cell.y - 1.0, 1.0 - cell.y, -cell.y, cell.y), taps)
         along_y = spread_corner(wp.vec4(cell.x - 1.0, -cell.x, 1.0 - cell.x, cell.x), taps)
+        # s and t span 2 over the face's size, and a level step trades one mip for the other
         scale = 0.5 * wp.float32(size) * share
         sign = wp.where(slot == 0, -1.0, 1.0)
         for c in range(texels.shape[1]):
-            grad_s += scale * grads[m, c] * _blend(texels, table[level, 1], taps, along_x, c)
-            grad_t += scale * grads[m, c] * _blend(texels, table[level, 1], taps, along_y, c)
-            grad_level += sign * grads[m, c] * _blend(texels, table[level, 1], taps, weights, c)
+            grad_s += scale * grad_result[m, c] * _weigh(texels, table[level, 1], taps, along_x, c)
+            grad_t += scale * grad_result[m, c] * _weigh(texels, table[level, 1], taps, along_y, c)
+            grad_level += sign * grad_result[m, c] * _weigh(texels, table[level, 1], taps, weights, c)
     if seen:
-        grad_directions[m] = project_adjoint(direction, point, grad_s, grad_t)
+        grad_directions[m] = find_face_adjoint(direction, point, grad_s, grad_t)
     else:
         grad_directions[m] = wp.vec3()
     grad_levels[m] = wp.where(seen and level_moves(levels[m], count), grad_level, 0.0)
@@ -321,15 +307,15 @@ def _sum_cells(
     starts: wp.array[wp.int32],
     order: wp.array[wp.int32],
     places: wp.array[wp.vec3],
-    grads: wp.array2d[wp.float32],
+    grad_lookups: wp.array2d[wp.float32],
     table: wp.array2d[wp.int32],
     slots: wp.int32,
     sums: wp.array2d[wp.vec4],
 ) -> None:
     """What a cell's lookups owe to each of its four texels, the missing one's share handed to the others."""
     index = first + wp.tid()
-    g = index // grads.shape[1]
-    c = index % grads.shape[1]
+    g = index // grad_lookups.shape[1]
+    c = index % grad_lookups.shape[1]
     total = wp.vec4()
     for i in range(starts[g], starts[g + 1]):
         lookup = order[i]
@@ -337,8 +323,9 @@ def _sum_cells(
         cell = Footprint()
         cell.x = place[0]
         cell.y = place[1]
-        total += place[2] * grads[lookup // slots, c] * bilinear_weights(cell)
+        total += place[2] * grad_lookups[lookup // slots, c] * bilinear_weights(cell)
     if starts[g] < starts[g + 1]:
+        # a cell at a cube's corner gives the missing texel's share to the three others: find which cell g is
         level = wp.int32(0)
         while level + 1 < table.shape[0] and table[level + 1, 2] <= g:
             level += 1
@@ -374,14 +361,15 @@ def _collect(
 
 @wp.kernel(enable_backward=False)
 def _gather_texels(
-    first: wp.int32, sums: wp.array2d[wp.vec4], table: wp.array2d[wp.int32], result: wp.array2d[wp.float32]
+    first: wp.int32,
+    sums: wp.array2d[wp.vec4],
+    table: wp.array2d[wp.int32],
+    grad_texels: wp.array2d[wp.float32],
 ) -> None:
-    """A texel collects from its own face's cells, and from the cells of neighbours for which it lies just
-    over the edge.
-    """
+    """A texel collects from its own face's cells, and from neighbours' for which it is just over the edge."""
     index = first + wp.tid()
-    texel = index // result.shape[1]
-    c = index % result.shape[1]
+    texel = index // grad_texels.shape[1]
+    c = index % grad_texels.shape[1]
     level = wp.int32(0)
     while level + 1 < table.shape[0] and table[level + 1, 1] <= texel:
         level += 1
@@ -401,8 +389,8 @@ def _gather_texels(
             or (dt > 0 and row == size - 1)
         )
         if at_edge:
-            # Seen from the neighbour, the texel centre (t, S - 1 deep) lies unfolded at S + 1, one step over
-            # the common edge.
+            # seen from the neighbour, the texel centre (t, S - 1 deep) lies unfolded at S + 1, one step over
+            # the common edge
             other = neighbour_face(face, ds, dt)
             s = wp.where(ds == 0, 2 * column + 1 - size, ds * size)
             t = wp.where(dt == 0, 2 * row + 1 - size, dt * size)
@@ -410,4 +398,4 @@ def _gather_texels(
             over_column = (point_s(other, point) + size + 1) // 2 - 1
             over_row = (point_t(other, point) + size + 1) // 2 - 1
             total += _collect(sums, table[level, 2], other, over_column, over_row, size, c)
-    result[texel, c] = total
+    grad_texels[texel, c] = total

@@ -1,5 +1,4 @@
-"""The cube's 48 symmetries as index tables, by which filters that turn with the cube become eight small
-matrix products.
+"""The cube's 48 symmetries as index tables: they make eight small matrix products of a large filter.
 
 A linear filter whose weight depends only on the angle between two texels (and on a texel's solid angle)
 commutes with every symmetry of the cube. The sign flips of the three coordinates commute with each other, so
@@ -20,13 +19,16 @@ from samira_warp.kernels.cubemap.layout import FACES, texel_index, texel_points
 from samira_warp.support.caching import cached_tensors
 
 OCTANTS = 8
+"""One for each combination of the coordinates' signs."""
+
 PERMUTATIONS = tuple(itertools.permutations(range(3)))
 """The six orders of the coordinates: permutation p carries a point v to (v[p[0]], v[p[1]], v[p[2]])."""
 
 
 class Symmetry(NamedTuple):
-    """Index tables of one map size S; B = 6 S^2 texels, U = B / 8 of them in the octant of positive
-    coordinates.
+    """Index tables of one map size S.
+
+    Of its B = 6 S^2 texels, U = B / 8 lie in the octant of positive coordinates.
 
     Attributes:
         flips: (8, U) int64, the texels of the eight octants: flip f negates coordinate k where bit k of f is
@@ -56,7 +58,7 @@ def symmetry(size: int, device: torch.device) -> Symmetry:
     position[flips[0]] = torch.arange(len(octant))
     turns = torch.stack([position[texel_index(octant[:, list(turn)], size)] for turn in PERMUTATIONS])
     representatives, source = turns.amin(dim=0).unique(return_inverse=True)
-    # Of the permutations that carry the representative here (several, on a plane of symmetry), the first.
+    # of the permutations that carry the representative here (several, on a plane of symmetry), the first
     carries = turns[:, representatives[source]] == torch.arange(len(octant))
     return Symmetry(
         *(table.to(device) for table in (flips, turns, carries.int().argmax(dim=0), source, representatives))
@@ -65,8 +67,9 @@ def symmetry(size: int, device: torch.device) -> Symmetry:
 
 @cached_tensors()
 def parities(device: torch.device) -> Tensor:
-    """(8, 8) float32 Walsh-Hadamard matrix: entry (p, f) is the sign that parity p gives to flip f. It is its
-    own transpose.
+    """(8, 8) float32 Walsh-Hadamard matrix: entry (p, f) is the sign that parity p gives to flip f.
+
+    It is its own transpose.
     """
     return torch.tensor(
         [[1.0 - 2.0 * ((p & f).bit_count() % 2) for f in range(OCTANTS)] for p in range(OCTANTS)],
@@ -76,8 +79,9 @@ def parities(device: torch.device) -> Tensor:
 
 @cached_tensors()
 def turned_parities(device: torch.device) -> Tensor:
-    """(8, 6) int64: the parity that each permutation makes of each parity; it moves the bits as it moves the
-    coordinates.
+    """(8, 6) int64: the parity that each permutation makes of each parity.
+
+    It moves the bits as it moves the coordinates.
     """
     return torch.tensor(
         [[sum((p >> turn[k] & 1) << k for k in range(3)) for turn in PERMUTATIONS] for p in range(OCTANTS)],
@@ -87,8 +91,9 @@ def turned_parities(device: torch.device) -> Tensor:
 
 @cached_tensors()
 def spread_table(size: int, device: torch.device) -> Tensor:
-    """(8, U, 6) int64 rows (parity U + position) of a map's parity parts that stand at each (parity,
-    position) after each permutation.
+    """(8, U, 6) int64: which row of a map's parity parts stands at each place after each permutation.
+
+    A row is parity U + position; a place, a parity and a position.
     """
     tables = symmetry(size, device)
     octant = tables.turns.shape[1]
@@ -105,8 +110,9 @@ def collect_table(size: int, device: torch.device) -> Tensor:
 
 @cached_tensors()
 def result_table(size: int, device: torch.device) -> Tensor:
-    """(8, U) int64: where each row of a filtered map's parity parts stands in the products, (parity R +
-    representative) 6 + permutation.
+    """(8, U) int64: where each row of a filtered map's parity parts stands in the products.
+
+    Their rows are (parity R + representative) 6 + permutation.
     """
     tables = symmetry(size, device)
     count = len(tables.representatives)

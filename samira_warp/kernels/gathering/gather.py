@@ -17,7 +17,7 @@ from torch.autograd.function import once_differentiable
 from samira_warp.kernels.gathering.grouping import group_by
 from samira_warp.kernels.runtime import launch_range
 from samira_warp.support.errors import UserError
-from samira_warp.support.validation import check_tensor
+from samira_warp.support.validation import FLOATS, check_ids, check_tensor, check_tensors
 
 GRAIN = 8192
 """Outputs that are worth a thread."""
@@ -46,6 +46,15 @@ class GatherTable:
     transpose_rows: Tensor
     transpose_weights: Tensor
 
+    def __post_init__(self) -> None:
+        check_tensors(
+            ("indices", self.indices, ("M", "K"), torch.int32),
+            ("weights", self.weights, ("M", "K")),
+            ("transpose_offsets", self.transpose_offsets, (self.sources + 1,), torch.int32),
+            ("transpose_rows", self.transpose_rows, ("E",), torch.int32),
+            ("transpose_weights", self.transpose_weights, ("E",)),
+        )
+
     @classmethod
     def build(cls, indices: Tensor, weights: Tensor, *, sources: int) -> GatherTable:
         """Check the entries and transpose them.
@@ -58,14 +67,8 @@ class GatherTable:
         Raises:
             UserError: The shapes differ, or an index is out of range.
         """
-        check_tensor("indices", indices, shape=("M", "K"), dtype=None)
-        check_tensor("weights", weights, shape=indices.shape, dtype=None, device=indices.device)
-        if indices.numel() and not 0 <= int(indices.min()) <= int(indices.max()) < sources:
-            raise UserError(
-                "indices",
-                expected=f"0 to {sources - 1}",
-                found=f"{int(indices.min())} to {int(indices.max())}",
-            )
+        check_ids("indices", indices, shape=("M", "K"), count=sources)
+        check_tensor("weights", weights, shape=indices.shape, dtype=FLOATS, device=indices.device)
         indices = indices.to(torch.int32).contiguous()
         weights = weights.detach().to(torch.float32).contiguous()
         entries = weights.flatten().nonzero().squeeze(1)
@@ -124,7 +127,7 @@ def bilinear_table(uv: Tensor, *, width: int, height: int) -> GatherTable:
     Raises:
         UserError: ``uv`` has another shape or is not finite.
     """
-    check_tensor("uv", uv, shape=("N", 2), dtype=None)
+    check_tensor("uv", uv, shape=("N", 2), dtype=FLOATS)
     if not bool(uv.isfinite().all()):
         raise UserError("uv", expected="finite coordinates", found="NaN or infinity")
     x = (uv[:, 0] * width - 0.5).clamp(0, width - 1)
@@ -154,6 +157,8 @@ class _Gather(torch.autograd.Function):
     def backward(ctx: Any, grad_result: Tensor) -> tuple[Tensor, None]:
         table: GatherTable = ctx.table
         grad_values = grad_result.new_empty(table.sources, grad_result.shape[1])
+        # the adjoint of a gather is the gather along the transpose: each source sums in one order, without
+        # atomics
         transpose = (table.transpose_offsets, table.transpose_rows, table.transpose_weights)
         launch_range(
             _gather_transposed,

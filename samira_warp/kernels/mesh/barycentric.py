@@ -7,19 +7,18 @@ import warp as wp
 from torch import Tensor
 
 from samira_warp.kernels.runtime import launch_range
-from samira_warp.support.validation import check_tensor
+from samira_warp.support.validation import check_tensors
 
 GRAIN = 4096
 """Points that are worth a thread."""
 
 
 def closest_barycentrics(points: Tensor, triangles: Tensor) -> Tensor:
-    """Weights of the corners at the closest point of each point's own triangle (Alg. 1); constants, without a
-    gradient.
+    """Weights of the corners at the point of each triangle that is closest to its own point (Alg. 1).
 
-    The point projects into one of seven Voronoi regions: three corners, three edges, the interior. A triangle
-    whose corners coincide counts as the segment or the point that it is; of a needle too thin for float32 the
-    result is one of its points, not always the closest.
+    They are constants, without a gradient. The point projects into one of seven Voronoi regions: three
+    corners, three edges, the interior. A triangle whose corners coincide counts as the segment or the point
+    that it is; of a needle too thin for float32 the result is one of its points, not always the closest.
 
     Args:
         points: (N, 3) float32.
@@ -31,8 +30,7 @@ def closest_barycentrics(points: Tensor, triangles: Tensor) -> Tensor:
     Raises:
         UserError: A tensor has another shape, dtype or device.
     """
-    check_tensor("points", points, shape=("N", 3))
-    check_tensor("triangles", triangles, shape=(points.shape[0], 3, 3), device=points.device)
+    check_tensors(("points", points, ("N", 3)), ("triangles", triangles, ("N", 3, 3)))
     barycentrics = torch.empty_like(points, memory_format=torch.contiguous_format)
     launch_range(
         _closest, points.shape[0], points.contiguous(), triangles.contiguous(), barycentrics, grain=GRAIN

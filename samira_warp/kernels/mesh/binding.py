@@ -13,8 +13,7 @@ from torch.autograd.function import once_differentiable
 from samira_warp.kernels.gathering.grouping import Groups, group_by
 from samira_warp.kernels.mesh.triangle_frames import TriangleFrames
 from samira_warp.kernels.runtime import launch_range
-from samira_warp.support.errors import UserError
-from samira_warp.support.validation import check_tensor
+from samira_warp.support.validation import check_ids, check_tensors
 
 GRAIN = 1024
 """Gaussians, or triangles, that are worth a thread."""
@@ -50,6 +49,13 @@ class FaceBinding:
     face_count: int
     gaussians: Groups
 
+    def __post_init__(self) -> None:
+        check_tensors(
+            ("faces", self.faces, ("N",), torch.int32),
+            ("gaussians.offsets", self.gaussians.offsets, (self.face_count + 1,), torch.int32),
+            ("gaussians.members", self.gaussians.members, ("N",), torch.int32),
+        )
+
     @classmethod
     def build(cls, faces: Tensor, face_count: int) -> FaceBinding:
         """List the Gaussians of every triangle.
@@ -61,13 +67,7 @@ class FaceBinding:
         Raises:
             UserError: ``faces`` has another shape, or an index is out of range.
         """
-        check_tensor("faces", faces, shape=("N",), dtype=None)
-        if faces.numel() and not 0 <= int(faces.min()) <= int(faces.max()) < face_count:
-            raise UserError(
-                "faces",
-                expected=f"face ids 0 to {face_count - 1}",
-                found=f"{int(faces.min())} to {int(faces.max())}",
-            )
+        check_ids("faces", faces, shape=("N",), count=face_count)
         faces = faces.to(torch.int32).contiguous()
         return cls(faces, face_count, group_by(faces, face_count))
 
@@ -104,36 +104,58 @@ def bind(
     Raises:
         UserError: A tensor has another shape, dtype or device than the binding needs.
     """
-    count, device = binding.faces.shape[0], binding.faces.device
-    check_tensor("means", means, shape=(count, 3), device=device)
-    check_tensor("quaternions", quaternions, shape=(count, 4), device=device)
-    check_tensor("scales", scales, shape=(count, 3), device=device)
-    check_tensor("normals", normals, shape=(count, 3), device=device)
-    check_tensor("frames.rotation", frames.rotation, shape=(binding.face_count, 3, 3), device=device)
-    check_tensor("frames.translation", frames.translation, shape=(binding.face_count, 3), device=device)
-    check_tensor("frames.scale", frames.scale, shape=(binding.face_count,), device=device)
+    count, face_count = binding.faces.shape[0], binding.face_count
+    check_tensors(
+        ("means", means, (count, 3)),
+        ("quaternions", quaternions, (count, 4)),
+        ("scales", scales, (count, 3)),
+        ("normals", normals, (count, 3)),
+        ("frames.rotation", frames.rotation, (face_count, 3, 3)),
+        ("frames.translation", frames.translation, (face_count, 3)),
+        ("frames.scale", frames.scale, (face_count,)),
+        device=binding.faces.device,
+    )
     return BoundGaussians(*_Bind.apply(binding, means, quaternions, scales, normals, *frames))
 
 
 class _Bind(torch.autograd.Function):
     @staticmethod
-    def forward(ctx: Any, binding: FaceBinding, *inputs: Tensor) -> tuple[Tensor, ...]:
-        inputs = tuple(value.contiguous() for value in inputs)
-        ctx.save_for_backward(*inputs)
+    def forward(
+        ctx: Any,
+        binding: FaceBinding,
+        means: Tensor,
+        quaternions: Tensor,
+        scales: Tensor,
+        normals: Tensor,
+        rotation: Tensor,
+        translation: Tensor,
+        scale: Tensor,
+    ) -> tuple[Tensor, ...]:
+        gaussians = [tensor.contiguous() for tensor in (means, quaternions, scales, normals)]
+        frames = [tensor.contiguous() for tensor in (rotation, translation, scale)]
+        bound = tuple(torch.empty_like(tensor) for tensor in gaussians)
+        launch_range(_bind, binding.faces.shape[0], binding.faces, *gaussians, *frames, *bound, grain=GRAIN)
+        ctx.save_for_backward(*gaussians, *frames)
         ctx.binding = binding
-        outputs = tuple(torch.empty_like(value) for value in inputs[:4])
-        launch_range(_bind, binding.faces.shape[0], binding.faces, *inputs, *outputs, grain=GRAIN)
-        return outputs
+        return bound
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
+    def backward(
+        ctx: Any, grad_means: Tensor, grad_quaternions: Tensor, grad_scales: Tensor, grad_normals: Tensor
+    ) -> tuple[Tensor | None, ...]:
         binding: FaceBinding = ctx.binding
         inputs = ctx.saved_tensors
-        grads = tuple(grad.contiguous() for grad in grads)
-        grad_inputs = tuple(torch.empty_like(value) for value in inputs)
+        grad_bound = [grad.contiguous() for grad in (grad_means, grad_quaternions, grad_scales, grad_normals)]
+        grad_inputs = [torch.empty_like(tensor) for tensor in inputs]
         launch_range(
-            _bind_adjoint, binding.face_count, *binding.gaussians, *inputs, *grads, *grad_inputs, grain=GRAIN
+            _bind_adjoint,
+            binding.face_count,
+            *binding.gaussians,
+            *inputs,
+            *grad_bound,
+            *grad_inputs,
+            grain=GRAIN,
         )
         return None, *grad_inputs
 
@@ -206,16 +228,21 @@ def _bind_adjoint(
 ) -> None:
     """One triangle: the gradients of its Gaussians, and their sums for its frame."""
     face = first + wp.tid()
+
+    # the frame, once for all of its Gaussians
     r = rotation[face]
     inverse = wp.transpose(r)
     k = scale[face]
     frame_quaternion = wp.quat_from_matrix(r)
+
+    # what the frame gathers from them: of r the turn alone, of t, and of k
     torque = wp.vec3(0.0)
     force = wp.vec3(0.0)
     stretch = wp.float32(0.0)
     for entry in range(offsets[face], offsets[face + 1]):
         index = members[entry]
 
+        # mu' = k r mu + t
         grad_mean = grad_bound_means[index]
         arm = r * means[index]
         grad_means[index] = k * (inverse * grad_mean)
@@ -223,10 +250,13 @@ def _bind_adjoint(
         torque += k * wp.cross(arm, grad_mean)
         stretch += wp.dot(arm, grad_mean)
 
+        # s' = k s
         grad_bound_scale = grad_bound_scales[index]
         grad_scales[index] = k * grad_bound_scale
         stretch += wp.dot(scales[index], grad_bound_scale)
 
+        # q' = quat(r) q / |q|: a turn w of r moves q' by w q' / 2, and what lies along q is lost to its
+        # length
         wxyz = grad_bound_quaternions[index]
         grad_turned = wp.quat(wxyz[1], wxyz[2], wxyz[3], wxyz[0])
         local = _unit_quaternion(quaternions[index])
@@ -240,6 +270,7 @@ def _bind_adjoint(
         else:
             grad_quaternions[index] = wp.vec4(0.0)
 
+        # n' = norm(r n)
         grad_normal = grad_bound_normals[index]
         normal = wp.normalize(r * normals[index])
         length = wp.length(normals[index])
@@ -249,6 +280,7 @@ def _bind_adjoint(
         else:
             grad_normals[index] = wp.vec3(0.0)
 
+    # the tangential gradient of r: <G, [w]x r> = torque . w for every turn w
     grad_rotation[face] = 0.5 * wp.skew(torque) * r
     grad_translation[face] = force
     grad_scale[face] = stretch

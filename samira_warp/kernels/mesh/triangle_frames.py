@@ -13,8 +13,7 @@ from torch.autograd.function import once_differentiable
 from samira_warp.kernels.gathering.grouping import Groups, group_by
 from samira_warp.kernels.runtime import launch_range
 from samira_warp.support.constants import DEGENERATE_TRIANGLE
-from samira_warp.support.errors import UserError
-from samira_warp.support.validation import check_tensor
+from samira_warp.support.validation import check_ids, check_tensor, check_tensors
 
 GRAIN = 2048
 """Triangles, or vertices, that are worth a thread."""
@@ -48,6 +47,13 @@ class MeshTopology:
     vertex_count: int
     corners: Groups
 
+    def __post_init__(self) -> None:
+        check_tensors(
+            ("faces", self.faces, ("F", 3), torch.int32),
+            ("corners.offsets", self.corners.offsets, (self.vertex_count + 1,), torch.int32),
+            ("corners.members", self.corners.members, (self.faces.numel(),), torch.int32),
+        )
+
     @classmethod
     def build(cls, faces: Tensor, vertex_count: int) -> MeshTopology:
         """List the corners of every vertex.
@@ -59,13 +65,7 @@ class MeshTopology:
         Raises:
             UserError: ``faces`` has another shape, or an index is out of range.
         """
-        check_tensor("faces", faces, shape=("F", 3), dtype=None)
-        if faces.numel() and not 0 <= int(faces.min()) <= int(faces.max()) < vertex_count:
-            raise UserError(
-                "faces",
-                expected=f"vertex ids 0 to {vertex_count - 1}",
-                found=f"{int(faces.min())} to {int(faces.max())}",
-            )
+        check_ids("faces", faces, shape=("F", 3), count=vertex_count)
         faces = faces.to(torch.int32).contiguous()
         return cls(faces, vertex_count, group_by(faces.flatten(), vertex_count))
 
@@ -103,11 +103,8 @@ class _TriangleFrames(torch.autograd.Function):
         ctx.save_for_backward(vertices)
         ctx.topology = topology
         count = topology.faces.shape[0]
-        rotation, translation, scale = (
-            vertices.new_empty(count, 3, 3),
-            vertices.new_empty(count, 3),
-            vertices.new_empty(count),
-        )
+        rotation, translation = vertices.new_empty(count, 3, 3), vertices.new_empty(count, 3)
+        scale = vertices.new_empty(count)
         launch_range(
             _triangle_frames, count, vertices, topology.faces, rotation, translation, scale, grain=GRAIN
         )
@@ -115,14 +112,16 @@ class _TriangleFrames(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None]:
+    def backward(
+        ctx: Any, grad_rotation: Tensor, grad_translation: Tensor, grad_scale: Tensor
+    ) -> tuple[Tensor, None]:
         (vertices,) = ctx.saved_tensors
         topology: MeshTopology = ctx.topology
         count = topology.faces.shape[0]
+        grad_frames = [grad.contiguous() for grad in (grad_rotation, grad_translation, grad_scale)]
         grad_corners = vertices.new_empty(count * 3, 3)
-        grads = tuple(grad.contiguous() for grad in grads)
         launch_range(
-            _triangle_frames_adjoint, count, vertices, topology.faces, *grads, grad_corners, grain=GRAIN
+            _triangle_frames_adjoint, count, vertices, topology.faces, *grad_frames, grad_corners, grain=GRAIN
         )
         grad_vertices = torch.empty_like(vertices)
         launch_range(
@@ -176,6 +175,7 @@ def _triangle_frames_adjoint(
     grad_corners: wp.array[wp.vec3],
 ) -> None:
     """One triangle's gradients, to its own three corners."""
+    # the frame again, as far as it was not kept
     face = first + wp.tid()
     a = vertices[faces[face, 0]]
     edge = vertices[faces[face, 1]] - a
@@ -185,14 +185,17 @@ def _triangle_frames_adjoint(
     perpendicular = wp.cross(edge_direction, side)
     height = wp.length(perpendicular)
 
+    # r and k are functions of two edges; where they degenerate they are constants
     grad_edge = wp.vec3(0.0)
     grad_side = wp.vec3(0.0)
     if not _is_degenerate(length, height, wp.length(side)):
+        # r = (direction, normal, direction x normal), k = (length + height) / 2
         normal = perpendicular / height
         columns = wp.transpose(grad_rotation[face])
         half_grad_scale = 0.5 * grad_scale[face]
         grad_direction = columns[0] + wp.cross(normal, columns[2])
         grad_normal = columns[1] + wp.cross(columns[2], edge_direction)
+        # perpendicular = direction x side: its length is the height, its direction the normal
         grad_perpendicular = (
             grad_normal - normal * wp.dot(normal, grad_normal)
         ) / height + normal * half_grad_scale
@@ -201,6 +204,7 @@ def _triangle_frames_adjoint(
         along = wp.dot(edge_direction, grad_direction)
         grad_edge = (grad_direction - edge_direction * along) / length + edge_direction * half_grad_scale
 
+    # to the corners, each shared by other triangles: `_sum_corners` adds them up in a fixed order
     grad_centroid = grad_translation[face] / 3.0
     grad_corners[3 * face] = grad_centroid - grad_edge - grad_side
     grad_corners[3 * face + 1] = grad_centroid + grad_edge

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from samira_warp.kernels.gathering.grouping import Groups, group_by
 from samira_warp.kernels.runtime import launch_range
-from samira_warp.support.validation import check_tensor
+from samira_warp.support.validation import check_ids, check_tensor
 
 TILE = 16
 """Texels along a side of the square tiles that faces are binned into."""
@@ -40,10 +40,10 @@ def rasterize_uv(vt: Tensor, ft: Tensor, *, size: int) -> UvRaster:
         size: H = W, texels.
 
     Raises:
-        UserError: A tensor has another shape, dtype or device.
+        UserError: A tensor has another shape, dtype or device, or an id is out of range.
     """
     check_tensor("vt", vt, shape=("T", 2))
-    check_tensor("ft", ft, shape=("F", 3), dtype=None, device=vt.device)
+    check_ids("ft", ft, shape=("F", 3), count=vt.shape[0], device=vt.device)
     texels = torch.stack([vt[:, 0] * size, (1 - vt[:, 1]) * size], dim=1)
     ft = ft.to(torch.int32).contiguous()
     face = torch.full((size, size), -1, dtype=torch.int32, device=vt.device)
@@ -56,10 +56,12 @@ def rasterize_uv(vt: Tensor, ft: Tensor, *, size: int) -> UvRaster:
 def _bin_faces(corners: Tensor, size: int) -> Groups:
     """For each tile, row by row, the faces whose bounding box touches it, in the order of their ids."""
     across = -(-size // TILE)
+    # the tiles that each face's box spans
     low = (corners.amin(dim=1) / TILE).floor().long().clamp(min=0)
     high = (corners.amax(dim=1) / TILE).floor().long().clamp(max=across - 1)
     extent = (high - low + 1).clamp(min=0)
     counts = extent.prod(dim=1)
+    # one entry per face and tile: the n-th entry of a face is the n-th tile of its box
     face = torch.repeat_interleave(torch.arange(len(counts), device=counts.device), counts)
     place = torch.arange(len(face), device=face.device) - (counts.cumsum(0) - counts)[face]
     column = low[face, 0] + place % extent[face, 0]
@@ -70,9 +72,7 @@ def _bin_faces(corners: Tensor, size: int) -> Groups:
 
 @wp.func
 def _edge(start: wp.int32, end: wp.int32, texels: wp.array[wp.vec2], p: wp.vec2) -> wp.float32:
-    """Twice the signed area of (start, end, p), to the same bits up to the sign whichever way the edge is
-    named.
-    """
+    """Twice the signed area of (start, end, p): the same bits, but for the sign, from either end."""
     low = wp.min(start, end)
     a = texels[low]
     b = texels[wp.max(start, end)]

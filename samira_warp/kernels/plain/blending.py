@@ -1,7 +1,7 @@
-"""Alpha blending as plain Warp kernels, one thread per pixel: the CPU kernels' specification in float32, and
-the yardstick of their speed.
+"""Alpha blending as plain Warp kernels, one thread per pixel.
 
-The adjoint adds atomically, which on a CPU is right on one thread only.
+They are the fast kernels' specification in float32, and the yardstick of their speed. The adjoint adds
+atomically, which on a CPU is right on one thread only.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import warp as wp
 from torch import Tensor
 
 from samira_warp.kernels.raster.blending import Blended
+from samira_warp.kernels.raster.slots import GaussianGradients
 from samira_warp.kernels.raster.tiles import TILE, TileBins
 from samira_warp.kernels.runtime import launch
 from samira_warp.support.constants import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN
@@ -30,22 +31,13 @@ def blend(
     width: int,
     height: int,
 ) -> Blended:
-    """As `samira_warp.kernels.raster.blending.blend`, without gradients; ``gaussians`` are those of ``bins``,
-    looked up once.
+    """As `samira_warp.kernels.raster.blending.blend`, without gradients.
+
+    ``gaussians`` are those of ``bins``, looked up once.
     """
     blended = Blended(features.new_zeros(height, width, features.shape[1]), features.new_zeros(height, width))
-    launch(
-        _blend,
-        _threads(bins),
-        means2d,
-        conics,
-        opacities,
-        features,
-        bins.tile_offsets,
-        gaussians,
-        bins.columns,
-        *blended,
-    )
+    inputs, lists = (means2d, conics, opacities, features), (bins.tile_offsets, gaussians, bins.columns)
+    launch(_blend, _threads(bins), *inputs, *lists, *blended)
     return blended
 
 
@@ -59,21 +51,12 @@ def blend_adjoint(
     blended: Blended,
     grad_features: Tensor,
     grad_transmittance: Tensor,
-) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+) -> GaussianGradients:
     """Gradients of the means, conics, opacities and features from those of both results."""
-    inputs = (means2d, conics, opacities, features)
-    gradients = tuple(torch.zeros_like(tensor) for tensor in inputs)
+    inputs, lists = (means2d, conics, opacities, features), (bins.tile_offsets, gaussians, bins.columns)
     images = (*blended, grad_features, grad_transmittance)
-    launch(
-        _blend_adjoint,
-        _threads(bins),
-        *inputs,
-        bins.tile_offsets,
-        gaussians,
-        bins.columns,
-        *images,
-        *gradients,
-    )
+    gradients = GaussianGradients(*(torch.zeros_like(tensor) for tensor in inputs))
+    launch(_blend_adjoint, _threads(bins), *inputs, *lists, *images, *gradients)
     return gradients
 
 
@@ -153,10 +136,14 @@ def _blend_adjoint(
         return
     center = wp.vec2(float(x) + 0.5, float(y) + 0.5)
     T = wp.float32(1.0)
+
+    # what the gradient still has to meet behind the Gaussian at hand: at first the image times its gradient
     behind = transmittance[y, x] * grad_transmittance[y, x]
     for c in range(features.shape[1]):
         behind += image[y, x, c] * grad_image[y, x, c]
+
     for entry in range(tile_offsets[place[0]], tile_offsets[place[0] + 1]):
+        # the forward pass again, which stops at the same Gaussian
         i = gaussians[entry]
         d = center - means2d[i]
         K = conics[i]
@@ -170,11 +157,14 @@ def _blend_adjoint(
         weight = alpha * T
         if T - weight < wp.static(TRANSMITTANCE_MIN):
             break
+
+        # of the features, and of the alpha: dL/dalpha = T (f . g) - behind / (1 - alpha)
         dot = wp.float32(0.0)
         for c in range(features.shape[1]):
             dot += features[i, c] * grad_image[y, x, c]
             wp.atomic_add(grad_features, i, c, weight * grad_image[y, x, c])
         behind -= weight * dot
+        # none passes the cap
         if density <= wp.static(ALPHA_MAX):
             grad_alpha = T * dot - behind / (1.0 - alpha)
             grad_sigma = -alpha * grad_alpha

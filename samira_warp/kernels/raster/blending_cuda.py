@@ -1,9 +1,9 @@
-"""Blending on a GPU: a block of four warps per tile, each warp an 8 x 8 square of it in two halves of 8 x 4
-pixels, one per lane.
+"""Blending on a GPU: a block of four warps per tile.
 
-The bodies are native snippets, since Warp has no words for a warp inside a block.
-`samira_warp/kernels/plain/blending.py` says the same one pixel at a time in Warp. The mathematics is that of
-`samira_warp.kernels.raster.blending`; the arrangement is:
+Each warp has an 8 x 8 square of the tile in two halves of 8 x 4 pixels, one per lane. The bodies are native
+snippets, since Warp has no words for a warp inside a block. `samira_warp/kernels/plain/blending.py` says the
+same one pixel at a time in Warp. The mathematics is that of `samira_warp.kernels.raster.blending`; the
+arrangement is:
 
 - A block copies its tile's records to shared memory batch by batch, the next while it works on one. A warp
   tests a batch against both its halves, lane k the k-th Gaussian, and visits only those whose ellipse meets
@@ -54,7 +54,8 @@ ADJOINT_BLOCKS = 5
 met without spilling."""
 
 _CONSTANTS = f"""
-    constexpr float ALPHA_MAX = {ALPHA_MAX!r}f, ALPHA_MIN = {ALPHA_MIN!r}f, TRANSMITTANCE_MIN = {TRANSMITTANCE_MIN!r}f;
+    constexpr float ALPHA_MAX = {ALPHA_MAX!r}f, ALPHA_MIN = {ALPHA_MIN!r}f;
+    constexpr float TRANSMITTANCE_MIN = {TRANSMITTANCE_MIN!r}f;
     constexpr float LN2 = {math.log(2.0)!r}f;
     constexpr int RECORD = {RECORD}, GEOMETRY = {GEOMETRY}, BATCH = {BATCH};
 """
@@ -62,9 +63,12 @@ _CONSTANTS = f"""
 _TILE = r"""
     constexpr int CHANNELS = sizeof(group) / sizeof(float);
     struct alignas(16) Quad { float x, y, z, w; };
-    struct alignas(16) Splat { float mean_x, mean_y, root, shear, rest, level, cut, inverse_opacity, feature[CHANNELS]; };
+    struct alignas(16) Splat {
+        float mean_x, mean_y, root, shear, rest, level, cut, inverse_opacity, feature[CHANNELS];
+    };
     constexpr int QUADS = sizeof(Splat) / sizeof(Quad);
 
+    // ---- The block's tile, and the lane's two pixels in it.
     const int start = tile_offsets.data[tile], end = tile_offsets.data[tile + 1];
     const int height = features.shape[0], width = features.shape[1], channels = features.shape[2];
     // a lane's pixels are (x, y) and (x, y + 4)
@@ -74,7 +78,8 @@ _TILE = r"""
     bool running[2] = {x < width && y < height, x < width && y + 4 < height};
     float T[2] = {1.0f, 1.0f};
 
-    // Four neighbouring threads copy a record, four floats each in turn. The index of the one that comes next is read a batch ahead.
+    // ---- The batch: four neighbouring threads copy a record, four floats each in turn. The index of the
+    // one that comes next is read a batch ahead.
     constexpr int COPIERS = BLOCK / BATCH;
     const int staged = thread / COPIERS, first_quad = first_channel / 4;
     int next_gaussian = start + staged < end ? records.data[start + staged] : 0;
@@ -92,18 +97,23 @@ _TILE = r"""
         if (begin + BATCH + staged < end) next_gaussian = records.data[begin + BATCH + staged];
     };
 
-    // (root dx + shear dy)^2 + rest dy^2; fmaf leaves the compiler no choice of rounding, so forward and backward agree
+    // ---- Which of its Gaussians a warp visits.
+    // (root dx + shear dy)^2 + rest dy^2; fmaf leaves the compiler no choice of rounding, so forward and
+    // backward agree
     auto quadratic = [](const Splat& s, float dx, float dy) {
         const float along = fmaf(s.root, dx, s.shear * dy);
         return fmaf(along, along, s.rest * dy * dy);
     };
     auto clamp = [&](float value, float low, float high) { return least(greatest(value, low), high); };
-    // Whether the ellipse meets the 8 x 4 pixel centres below row: the form is least at the mean, or on an edge that faces it, where
-    // it is a parabola. Both candidates are points of the rectangle, so no case is needed. The slack covers rounding.
+    // Whether the ellipse meets the 8 x 4 pixel centres below row: the form is least at the mean, or on an
+    // edge that faces it, where it is a parabola. Both candidates are points of the rectangle, so no case is
+    // needed. The slack covers rounding.
     auto touches = [&](const Splat& s, int row) {
-        const float low_x = left + 0.5f - s.mean_x, high_x = low_x + 7.0f, low_y = row + 0.5f - s.mean_y, high_y = low_y + 3.0f;
+        const float low_x = left + 0.5f - s.mean_x, high_x = low_x + 7.0f;
+        const float low_y = row + 0.5f - s.mean_y, high_y = low_y + 3.0f;
         const float dx = clamp(0.0f, low_x, high_x), dy = clamp(0.0f, low_y, high_y);
-        const float beside = clamp(-s.root * s.shear * dx * reciprocal(s.shear * s.shear + s.rest), low_y, high_y);
+        const float beside =
+            clamp(-s.root * s.shear * dx * reciprocal(s.shear * s.shear + s.rest), low_y, high_y);
         const float below = clamp(-s.shear * dy * reciprocal(s.root), low_x, high_x);
         return !(least(quadratic(s, dx, beside), quadratic(s, below, dy)) > 1.001f * s.cut + 0.01f);
     };
@@ -113,7 +123,9 @@ _TILE = r"""
         return ballot(running[half]) ? touched : 0u;
     };
 
-    // What a Gaussian's density leaves of the transmittance; false where it does not show. A pixel that it would end stops before it.
+    // ---- One Gaussian at one pixel.
+    // What a Gaussian's density leaves of the transmittance; false where it does not show. A pixel that it
+    // would end stops before it.
     auto meet = [&](float density, int half, float& alpha, float& next) {
         if (!(running[half] && density >= ALPHA_MIN)) return false;
         alpha = least(density, ALPHA_MAX);
@@ -124,13 +136,15 @@ _TILE = r"""
 """
 
 _FORWARD = r"""
+    // ---- The forward pass: while the block works on one batch, the next is on its way.
     struct Shared { Splat batch[2][BATCH]; };
     BLOCK_SHARED(Shared, shared)
 
     float sum[2][CHANNELS] = {};
     fetch_batch(shared.batch[0], start);
     for (int begin = start; begin < end; begin += BATCH) {
-        const int which = (begin - start) / BATCH % 2, size = end - begin < BATCH ? end - begin : BATCH;
+        const int which = (begin - start) / BATCH % 2;
+        const int size = end - begin < BATCH ? end - begin : BATCH;
         const Splat* batch = shared.batch[which];
         wait_for_copies();
         if (!block_any(running[0] || running[1])) break;
@@ -148,11 +162,14 @@ _FORWARD = r"""
                 if (!meet(power_of_two(splat.level - quadratic(splat, dx, dy)), half, alpha, next)) continue;
                 const float weight = alpha * T[half];
                 #pragma unroll
-                for (int c = 0; c < CHANNELS; ++c) sum[half][c] = fmaf(weight, splat.feature[c], sum[half][c]);
+                for (int c = 0; c < CHANNELS; ++c)
+                    sum[half][c] = fmaf(weight, splat.feature[c], sum[half][c]);
                 T[half] = next;
             }
         }
     }
+
+    // ---- The pixels.
     #pragma unroll
     for (int half = 0; half < 2; ++half) {
         if (x >= width || y + 4 * half >= height) continue;
@@ -160,7 +177,8 @@ _FORWARD = r"""
         transmittance.data[pixel] = T[half];
         #pragma unroll
         for (int c = 0; c < CHANNELS; ++c)
-            if (first_channel + c < channels) features.data[pixel * channels + first_channel + c] = sum[half][c];
+            if (first_channel + c < channels)
+                features.data[pixel * channels + first_channel + c] = sum[half][c];
     }
 """
 
@@ -170,7 +188,8 @@ _BACKWARD = r"""
     struct Shared { Splat batch[2][BATCH]; float sums[WARPS][BATCH][VALUES]; unsigned met[WARPS]; };
     BLOCK_SHARED(Shared, shared)
 
-    float g[2][CHANNELS] = {}, behind[2] = {};
+    // ---- The output's gradient, and what of it lies behind.
+    float grad[2][CHANNELS] = {}, behind[2] = {};
     #pragma unroll
     for (int half = 0; half < 2; ++half) {
         if (!running[half]) continue;
@@ -180,13 +199,15 @@ _BACKWARD = r"""
         #pragma unroll
         for (int c = 0; c < CHANNELS; ++c) {
             if (first_channel + c >= channels) continue;
-            g[half][c] = grad_features.data[pixel * channels + first_channel + c];
-            behind[half] = fmaf(features.data[pixel * channels + first_channel + c], g[half][c], behind[half]);
+            grad[half][c] = grad_features.data[pixel * channels + first_channel + c];
+            const float feature = features.data[pixel * channels + first_channel + c];
+            behind[half] = fmaf(feature, grad[half][c], behind[half]);
         }
     }
 
-    // Sums over the warp: of its values a lane keeps the lower or the upper half (of an odd number, with a zero), five times. What is
-    // left in value[0] is the sum of value[owned], or of zeros where that is -1.
+    // ---- The reduction over a warp's lanes: of its values a lane keeps the lower or the upper half (of an
+    // odd number, with a zero), five times. What is left in value[0] is the sum of value[owned], or of zeros
+    // where that is -1.
     static_assert(VALUES <= 32, "a lane keeps one sum");
     auto sum_over_warp = [&](float* value) {
         int n = VALUES;
@@ -195,7 +216,7 @@ _BACKWARD = r"""
             const int kept = (n + 1) / 2, across = 16 >> step;
             const bool upper = lane & across;
             #pragma unroll
-            for (int i = 0; i < (VALUES + 1) / 2; ++i) {   // a bound that the compiler knows, so that the values stay in registers
+            for (int i = 0; i < (VALUES + 1) / 2; ++i) {   // a known bound: the values stay in registers
                 if (i >= kept) continue;
                 const float low = value[i], high = i + kept < n ? value[i + kept] : 0.0f;
                 value[i] = (upper ? high : low) + exchange(upper ? low : high, across);
@@ -210,7 +231,9 @@ _BACKWARD = r"""
         if (owned >= given) owned = -1;
     }
 
-    // a value of a slot: the sum over the warps that met Gaussian j, for the geometry turned from moments into gradients
+    // ---- The reduction over the block's warps, and the slots in which it ends.
+    // A value of a slot: the sum over the warps that met Gaussian j, in their order; for the geometry turned
+    // from moments into gradients.
     auto slot_value = [&](const Splat& s, int j, int k) {
         auto total = [&](int index) {
             float sum = 0.0f;
@@ -227,16 +250,18 @@ _BACKWARD = r"""
     };
     auto write_slot = [&](const Splat& s, int entry, int j, int k) {
         const int slot = slots.data[entry];
-        float* value = slot_gradients.data + (size_t)slot * slot_gradients.shape[1] + k;
+        float* value = grad_slots.data + (size_t)slot * grad_slots.shape[1] + k;
         if (k >= GEOMETRY) value[first_channel] = slot_value(s, j, k);
         else if (first_channel == 0) *value = slot_value(s, j, k);
         else *value += slot_value(s, j, k);   // the groups before have left theirs
         if (k == 0) reached.data[slot] = true;
     };
 
+    // ---- The adjoint, front to back.
     fetch_batch(shared.batch[0], start);
     for (int begin = start; begin < end; begin += BATCH) {
-        const int which = (begin - start) / BATCH % 2, size = end - begin < BATCH ? end - begin : BATCH;
+        const int which = (begin - start) / BATCH % 2;
+        const int size = end - begin < BATCH ? end - begin : BATCH;
         const Splat* batch = shared.batch[which];
         wait_for_copies();
         if (!block_any(running[0] || running[1])) break;
@@ -251,6 +276,7 @@ _BACKWARD = r"""
             bool weighs = false;
             #pragma unroll
             for (int half = 0; half < 2; ++half) {
+                // the forward pass again, which stops at the same places
                 if (!(touched[half] >> j & 1)) continue;
                 const float dy = center_y + 4.0f * half - splat.mean_y;
                 const float density = power_of_two(splat.level - quadratic(splat, dx, dy));
@@ -259,14 +285,16 @@ _BACKWARD = r"""
                 weighs = true;
                 const float weight = alpha * T[half];
                 T[half] = next;
+                // the gradients of the features, and of the density
                 float dot = 0.0f;
                 #pragma unroll
                 for (int c = 0; c < CHANNELS; ++c) {
-                    dot = fmaf(splat.feature[c], g[half][c], dot);
-                    value[GEOMETRY + c] = fmaf(weight, g[half][c], value[GEOMETRY + c]);
+                    dot = fmaf(splat.feature[c], grad[half][c], dot);
+                    value[GEOMETRY + c] = fmaf(weight, grad[half][c], value[GEOMETRY + c]);
                 }
                 behind[half] = fmaf(-weight, dot, behind[half]);
-                // dL/dsigma = -alpha dL/dalpha, dL/dalpha = T dot - behind / (1 - alpha); none through the cap
+                // dL/dsigma = -alpha dL/dalpha, dL/dalpha = T dot - behind / (1 - alpha);
+                // none through the cap
                 if (density > ALPHA_MAX) continue;
                 const float grad_sigma = fmaf(behind[half], alpha * reciprocal(1.0f - alpha), -weight * dot);
                 const float x_share = grad_sigma * dx, y_share = grad_sigma * dy;
@@ -289,7 +317,8 @@ _BACKWARD = r"""
         #pragma unroll 1
         for (int e = thread; e < size * VALUES; e += BLOCK) {
             const int j = e / VALUES, k = e % VALUES;
-            if (met_by_any >> j & 1 && first_channel + k < GEOMETRY + channels) write_slot(batch[j], begin + j, j, k);
+            if (met_by_any >> j & 1 && first_channel + k < GEOMETRY + channels)
+                write_slot(batch[j], begin + j, j, k);
         }
     }
 """
@@ -315,13 +344,13 @@ def adjoint(
 ) -> SlotGradients:
     """Gradients by slot from what `forward` took and gave."""
     channels = features.shape[2]
-    gradients = SlotGradients.allocate(bins, channels)
+    grad_slots = SlotGradients.allocate(bins, channels)
     lists = (bins.tile_offsets, bins.records, bins.slots)
     images = (features, transmittance, grad_features, grad_transmittance)
     for first, group in _groups(channels, ADJOINT_GROUPS):
-        arguments = (group(), first, bins.columns, *lists, splats, *images, *gradients)
+        arguments = (group(), first, bins.columns, *lists, splats, *images, *grad_slots)
         launch(_BLEND_ADJOINT[group], bins.columns * bins.rows * BLOCK, *arguments, block_dim=BLOCK)
-    return gradients
+    return grad_slots
 
 
 def _groups(channels: int, sizes: tuple[int, ...]) -> Iterator[tuple[int, Any]]:
@@ -358,7 +387,7 @@ def _blend_block_adjoint(
     transmittance: wp.array2d[wp.float32],
     grad_features: wp.array3d[wp.float32],
     grad_transmittance: wp.array2d[wp.float32],
-    slot_gradients: wp.array2d[wp.float32],
+    grad_slots: wp.array2d[wp.float32],
     reached: wp.array[wp.bool],
 ) -> None: ...
 
@@ -401,15 +430,13 @@ def _blend_adjoint(
     transmittance: wp.array2d[wp.float32],
     grad_features: wp.array3d[wp.float32],
     grad_transmittance: wp.array2d[wp.float32],
-    slot_gradients: wp.array2d[wp.float32],
+    grad_slots: wp.array2d[wp.float32],
     reached: wp.array[wp.bool],
 ) -> None:
-    """The slots of one tile from a group of channels; the geometry's part is added to that of the groups
-    before.
-    """
+    """The slots of one tile from a group of channels; the geometry's part adds to the groups' before."""
     _blend_block_adjoint(
         wp.tid() / BLOCK, group, first_channel, columns, tile_offsets, records, slots, splats,
-        features, transmittance, grad_features, grad_transmittance, slot_gradients, reached,
+        features, transmittance, grad_features, grad_transmittance, grad_slots, reached,
     )  # fmt: skip
 
 

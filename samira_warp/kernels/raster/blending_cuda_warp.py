@@ -1,4 +1,4 @@
-"""How the lanes of a GPU block work together, as text that the native snippets of `blending_cuda` begin with.
+"""How the lanes of a GPU block work together: text that the snippets of `blending_cuda` begin with.
 
 A block has WARPS warps of 32 lanes. On a GPU the words below are CUDA's own. With
 `wp.config.enable_cpu_blocks`, where every thread of a block is a fiber of one CPU thread that runs until it
@@ -18,17 +18,21 @@ _THREAD = f"""
 """
 
 _WORDS = r"""
+// ---- On a GPU.
 #if defined(__CUDA_ARCH__)
     #define BLOCK_SHARED(Type, name) __shared__ Type name;
     auto block_barrier = []() { __syncthreads(); };
     auto block_any = [](bool vote) { return __syncthreads_or(vote) != 0; };   // a barrier that asks
-    auto ballot = [](bool vote) { return __ballot_sync(0xffffffffu, vote); };   // bit k: the vote of lane k
-    auto exchange = [](float value, int mask) { return __shfl_xor_sync(0xffffffffu, value, mask); };   // the value of lane ^ mask
+    // bit k: the vote of lane k
+    auto ballot = [](bool vote) { return __ballot_sync(0xffffffffu, vote); };
+    // the value of lane ^ mask
+    auto exchange = [](float value, int mask) { return __shfl_xor_sync(0xffffffffu, value, mask); };
     auto lowest_bit = [](unsigned bits) { return __ffs(bits) - 1; };
     // 16 bytes into shared memory, on their way until wait_for_copies and a barrier
     auto copy = [](void* shared, const void* source) {
     #if __CUDA_ARCH__ >= 800
-        asm volatile("{ .reg .u64 place; cvta.to.shared.u64 place, %0; cp.async.ca.shared.global [place], [%1], 16; }"
+        asm volatile("{ .reg .u64 place; cvta.to.shared.u64 place, %0; "
+                     "cp.async.ca.shared.global [place], [%1], 16; }"
                      :: "l"(shared), "l"(source) : "memory");
     #else
         *(float4*)shared = *(const float4*)source;
@@ -42,14 +46,23 @@ _WORDS = r"""
     auto least = [](float a, float b) { return fminf(a, b); };         // a NaN loses
     auto greatest = [](float a, float b) { return fmaxf(a, b); };
     // one instruction each, relative errors 2^-22 and 2^-23
-    auto power_of_two = [](float t) { float result; asm("ex2.approx.ftz.f32 %0, %1;" : "=f"(result) : "f"(t)); return result; };
-    auto reciprocal = [](float v) { float result; asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(result) : "f"(v)); return result; };
+    auto power_of_two = [](float t) {
+        float result;
+        asm("ex2.approx.ftz.f32 %0, %1;" : "=f"(result) : "f"(t));
+        return result;
+    };
+    auto reciprocal = [](float v) {
+        float result;
+        asm("rcp.approx.ftz.f32 %0, %1;" : "=f"(result) : "f"(v));
+        return result;
+    };
+// ---- On a CPU, fiber by fiber.
 #else
     // an address that the compiler cannot follow: else it takes the memory for this fiber's alone
     #define BLOCK_SHARED(Type, name) static Type name##_memory; Type& name = *opaque(&name##_memory);
     auto opaque = [](auto* address) { asm volatile("" : "+r"(address)); return address; };
-    // A fiber that has to wait lets the others run. Warps pass their barriers at their own pace, and arrivals only ever count up, so
-    // that the next barrier needs no reset.
+    // A fiber that has to wait lets the others run. Warps pass their barriers at their own pace, and arrivals
+    // only ever count up, so that the next barrier needs no reset.
     struct Meeting { unsigned warp_arrivals[WARPS], block_arrivals; float value[BLOCK]; bool vote[BLOCK]; };
     BLOCK_SHARED(Meeting, meeting)
     auto wait = [](volatile unsigned& arrivals, unsigned members) {

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import warp as wp
 
 from samira_warp.support.constants import ALPHA_MIN
@@ -15,8 +13,9 @@ pixel of it."""
 
 @wp.func
 def visible_sigma(opacity: wp.float32) -> wp.float32:
-    """The sigma at which opacity * exp(-sigma) falls to ALPHA_MIN, and a margin for rounding; -1 where alpha
-    never gets there.
+    """The sigma at which opacity * exp(-sigma) falls to ALPHA_MIN, and a margin for rounding.
+
+    It is -1 where alpha never gets there.
     """
     if not (opacity >= wp.static(ALPHA_MIN) and wp.isfinite(opacity)):
         return -1.0
@@ -51,8 +50,3 @@ def touches(mean: wp.vec2, conic: wp.vec3, sigma: wp.float32, low: wp.vec2, high
     x = wp.clamp(-conic[1] / conic[0] * nearest[1], low[0] - mean[0], high[0] - mean[0])
     y = wp.clamp(-conic[1] / conic[2] * nearest[0], low[1] - mean[1], high[1] - mean[1])
     return wp.min(quadratic(conic, nearest[0], y), quadratic(conic, x, nearest[1])) <= sigma
-
-
-def pair(first: float, second: float) -> Any:
-    """Two numbers as the wp.vec2 that a kernel takes."""
-    return wp.vec2(first, second)

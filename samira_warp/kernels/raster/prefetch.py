@@ -1,8 +1,8 @@
-"""Asking for memory ahead of time, where a kernel walks an array in the order of depth, which is no order in
-memory.
+"""Asking for memory ahead of time, where a kernel walks an array in an order that is not memory's.
 
-A CPU then waits for every row, since it guesses the next address only for strides; with the hint the rows of
-some ranks ahead are on their way. A GPU hides the wait behind other threads, and the hint does nothing there.
+In the order of depth a CPU waits for every row, since it guesses the next address only for strides; with the
+hint the rows of some ranks ahead are on their way. A GPU hides the wait behind other threads, and the hint
+does nothing there.
 """
 
 from __future__ import annotations

@@ -21,10 +21,10 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from samira_warp.geometry.camera import Camera
-from samira_warp.kernels.raster.ellipse import pair, touches, visible_sigma
+from samira_warp.kernels.raster.ellipse import touches, visible_sigma
 from samira_warp.kernels.runtime import launch_range
 from samira_warp.support.constants import LOW_PASS, NEAR_PLANE
-from samira_warp.support.validation import check_tensor
+from samira_warp.support.validation import check_tensors
 
 GRAIN = 1024
 """Gaussians that are worth a thread."""
@@ -73,13 +73,13 @@ def project(
     Raises:
         UserError: If a shape, dtype or device is wrong.
     """
-    device = means.device
-    count = means.shape[0]
-    check_tensor("means", means, shape=("N", 3))
-    check_tensor("quaternions", quaternions, shape=(count, 4), device=device)
-    check_tensor("scales", scales, shape=(count, 3), device=device)
-    check_tensor("opacities", opacities, shape=(count,), device=device)
-    check_tensor("camera.world_to_camera", camera.world_to_camera, shape=(4, 4), device=device)
+    check_tensors(
+        ("means", means, ("N", 3)),
+        ("quaternions", quaternions, ("N", 4)),
+        ("scales", scales, ("N", 3)),
+        ("opacities", opacities, ("N",)),
+        ("camera.world_to_camera", camera.world_to_camera, (4, 4)),
+    )
     return Projection(
         *_Project.apply(means.contiguous(), quaternions.contiguous(), scales.contiguous(), opacities, camera)
     )
@@ -94,8 +94,8 @@ class _Project(torch.autograd.Function):
         means2d, depths, conics = means.new_zeros(count, 2), means.new_zeros(count), means.new_zeros(count, 3)
         visible = torch.zeros(count, dtype=torch.bool, device=means.device)
         pose = camera.world_to_camera.contiguous()
-        size = pair(camera.width, camera.height)
-        inputs = (means, quaternions, scales, opacities.contiguous(), pose, *_intrinsics(camera), size)
+        lens, size = _lens(camera), wp.vec2(float(camera.width), float(camera.height))
+        inputs = (means, quaternions, scales, opacities.contiguous(), pose, *lens, size)
         launch_range(_project, count, *inputs, means2d, depths, conics, visible, grain=GRAIN)
         ctx.save_for_backward(means, quaternions, scales, pose, visible)
         ctx.camera = camera
@@ -108,26 +108,42 @@ class _Project(torch.autograd.Function):
         ctx: Any, grad_means2d: Tensor, grad_depths: Tensor, grad_conics: Tensor, _: None
     ) -> tuple[Tensor | None, ...]:
         means, quaternions, scales, pose, visible = ctx.saved_tensors
-        outputs = [torch.zeros_like(means), torch.zeros_like(quaternions), torch.zeros_like(scales)]
-        gradients = [gradient.contiguous() for gradient in (grad_means2d, grad_depths, grad_conics)]
-        inputs = (means, quaternions, scales, pose, *_intrinsics(ctx.camera), visible)
-        launch_range(_project_adjoint, means.shape[0], *inputs, *gradients, *outputs, grain=GRAIN)
-        return *outputs, None, None
+        grad_outputs = [grad.contiguous() for grad in (grad_means2d, grad_depths, grad_conics)]
+        grad_inputs = [torch.zeros_like(tensor) for tensor in (means, quaternions, scales)]
+        inputs = (means, quaternions, scales, pose, *_lens(ctx.camera), visible)
+        launch_range(_project_adjoint, means.shape[0], *inputs, *grad_outputs, *grad_inputs, grain=GRAIN)
+        return *grad_inputs, None, None
 
 
-def _intrinsics(camera: Camera) -> tuple[Any, Any, Any, Any]:
-    """Focal lengths, principal point, and the least and greatest (x/z, y/z) that the Jacobian may see."""
-    return _intrinsic_pairs(camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
+class _Lens(NamedTuple):
+    """A camera's intrinsics as the kernels take them.
+
+    Attributes:
+        focal: Focal lengths, pixels.
+        principal: Principal point, pixels.
+        low: Least (x/z, y/z) that the Jacobian may see.
+        high: The greatest.
+    """
+
+    focal: wp.vec2
+    principal: wp.vec2
+    low: wp.vec2
+    high: wp.vec2
+
+
+def _lens(camera: Camera) -> _Lens:
+    return _lens_of(camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
 
 
 @functools.lru_cache(maxsize=64)
-def _intrinsic_pairs(
-    fx: float, fy: float, cx: float, cy: float, width: int, height: int
-) -> tuple[Any, Any, Any, Any]:
+def _lens_of(fx: float, fy: float, cx: float, cy: float, width: int, height: int) -> _Lens:
     margin_x, margin_y = 0.15 * width / fx, 0.15 * height / fy
-    low = pair(-cx / fx - margin_x, -cy / fy - margin_y)
-    high = pair((width - cx) / fx + margin_x, (height - cy) / fy + margin_y)
-    return pair(fx, fy), pair(cx, cy), low, high
+    return _Lens(
+        wp.vec2(fx, fy),
+        wp.vec2(cx, cy),
+        wp.vec2(-cx / fx - margin_x, -cy / fy - margin_y),
+        wp.vec2((width - cx) / fx + margin_x, (height - cy) / fy + margin_y),
+    )
 
 
 @wp.func
@@ -142,40 +158,38 @@ def _rotation(unit: wp.vec4) -> wp.mat33:
 
 
 @wp.func
-def _rotation_adjoint(unit: wp.vec4, g: wp.mat33) -> wp.vec4:
-    """Gradient of the unit quaternion from the gradient g of its rotation matrix."""
+def _rotation_adjoint(unit: wp.vec4, grad_R: wp.mat33) -> wp.vec4:
+    """Gradient of the unit quaternion from that of its rotation matrix."""
     w, x, y, z = unit[0], unit[1], unit[2], unit[3]
+    # the antisymmetric part of grad_R, which turns, and twice the symmetric one off the diagonal
+    turn_x, turn_y, turn_z = (
+        grad_R[2, 1] - grad_R[1, 2],
+        grad_R[0, 2] - grad_R[2, 0],
+        grad_R[1, 0] - grad_R[0, 1],
+    )
+    xy, xz, yz = grad_R[0, 1] + grad_R[1, 0], grad_R[0, 2] + grad_R[2, 0], grad_R[1, 2] + grad_R[2, 1]
     return 2.0 * wp.vec4(
-        x * (g[2, 1] - g[1, 2]) + y * (g[0, 2] - g[2, 0]) + z * (g[1, 0] - g[0, 1]),
-        w * (g[2, 1] - g[1, 2])
-        + y * (g[0, 1] + g[1, 0])
-        + z * (g[0, 2] + g[2, 0])
-        - 2.0 * x * (g[1, 1] + g[2, 2]),
-        w * (g[0, 2] - g[2, 0])
-        + x * (g[0, 1] + g[1, 0])
-        + z * (g[1, 2] + g[2, 1])
-        - 2.0 * y * (g[0, 0] + g[2, 2]),
-        w * (g[1, 0] - g[0, 1])
-        + x * (g[0, 2] + g[2, 0])
-        + y * (g[1, 2] + g[2, 1])
-        - 2.0 * z * (g[0, 0] + g[1, 1]),
+        x * turn_x + y * turn_y + z * turn_z,
+        w * turn_x + y * xy + z * xz - 2.0 * x * (grad_R[1, 1] + grad_R[2, 2]),
+        w * turn_y + x * xy + z * yz - 2.0 * y * (grad_R[0, 0] + grad_R[2, 2]),
+        w * turn_z + x * xz + y * yz - 2.0 * z * (grad_R[0, 0] + grad_R[1, 1]),
     )
 
 
 @wp.func
-def _view(pose: wp.array2d[wp.float32]) -> wp.mat33:
-    """W, the rotation of world_to_camera."""
+def _view_rotation(pose: wp.array2d[wp.float32]) -> wp.mat33:
+    """W of world_to_camera."""
     return wp.mat33(
-        pose[0, 0],
-        pose[0, 1],
-        pose[0, 2],
-        pose[1, 0],
-        pose[1, 1],
-        pose[1, 2],
-        pose[2, 0],
-        pose[2, 1],
-        pose[2, 2],
-    )
+        pose[0, 0], pose[0, 1], pose[0, 2],
+        pose[1, 0], pose[1, 1], pose[1, 2],
+        pose[2, 0], pose[2, 1], pose[2, 2],
+    )  # fmt: skip
+
+
+@wp.func
+def _view_translation(pose: wp.array2d[wp.float32]) -> wp.vec3:
+    """The last column t of world_to_camera."""
+    return wp.vec3(pose[0, 3], pose[1, 3], pose[2, 3])
 
 
 @wp.func
@@ -231,12 +245,14 @@ def _project(
     visible: wp.array[wp.bool],
 ) -> None:
     i = first + wp.tid()
-    W = _view(pose)
-    point = W * means[i] + wp.vec3(pose[0, 3], pose[1, 3], pose[2, 3])
+    W = _view_rotation(pose)
+    point = W * means[i] + _view_translation(pose)
     sigma = visible_sigma(opacities[i])
     # a comparison with NaN is false: written so that NaN culls
     if not (point[2] > wp.static(NEAR_PLANE) and wp.isfinite(point) and sigma >= 0.0):
         return
+
+    # the ellipse, before its inversion: a Gaussian that would overflow there is culled
     R = _rotation(wp.normalize(quaternions[i]))
     M = _jacobian(point[2], _slopes(point, low, high), focal) * W * R * wp.diag(scales[i])
     if not (
@@ -245,11 +261,14 @@ def _project(
         and wp.isfinite(quaternions[i])
     ):
         return
+
+    # seen only if the ellipse meets the rectangle between the image's outermost pixel centres
     mean = wp.vec2(focal[0] * point[0] / point[2], focal[1] * point[1] / point[2]) + principal
     conic = _conic(M[0], M[1])
     half = wp.vec2(0.5, 0.5)
     if not (wp.isfinite(mean) and touches(mean, conic, sigma, half, size - half)):
         return
+
     means2d[i] = mean
     depths[i] = point[2]
     conics[i] = conic
@@ -278,8 +297,10 @@ def _project_adjoint(
     i = first + wp.tid()
     if not visible[i]:
         return
-    W = _view(pose)
-    point = W * means[i] + wp.vec3(pose[0, 3], pose[1, 3], pose[2, 3])
+
+    # the forward pass again: less to compute than to keep
+    W = _view_rotation(pose)
+    point = W * means[i] + _view_translation(pose)
     unit = wp.normalize(quaternions[i])
     R = _rotation(unit)
     slopes = _slopes(point, low, high)
@@ -287,16 +308,16 @@ def _project_adjoint(
     RS = R * wp.diag(scales[i])
     M = J * W * RS
 
-    # dSigma' = -K G K with G the symmetric gradient of K, then dM = 2 dSigma' M
+    # the adjoint, first to M: dSigma' = -K G K for the symmetric gradient G of K, and dM = 2 dSigma' M
     conic = _conic(M[0], M[1])
-    g = grad_conics[i]
+    grad_conic = grad_conics[i]
     K = wp.mat22(conic[0], conic[1], conic[1], conic[2])
-    grad_M = -2.0 * (K * wp.mat22(g[0], 0.5 * g[1], 0.5 * g[1], g[2]) * K) * M
-    grad_RS = wp.transpose(J * W) * grad_M
-    grad_J = grad_M * wp.transpose(W * RS)
+    G = wp.mat22(grad_conic[0], 0.5 * grad_conic[1], 0.5 * grad_conic[1], grad_conic[2])
+    grad_M = -2.0 * (K * G * K) * M
 
-    s = scales[i]
-    grad_R = grad_RS * wp.diag(s)
+    # from M = J W R S to scales and quaternion; a quaternion's length has no gradient, for it is normalised
+    grad_RS = wp.transpose(J * W) * grad_M
+    grad_R = grad_RS * wp.diag(scales[i])
     grad_scales[i] = wp.vec3(
         R[0, 0] * grad_RS[0, 0] + R[1, 0] * grad_RS[1, 0] + R[2, 0] * grad_RS[2, 0],
         R[0, 1] * grad_RS[0, 1] + R[1, 1] * grad_RS[1, 1] + R[2, 1] * grad_RS[2, 1],
@@ -304,6 +325,9 @@ def _project_adjoint(
     )
     grad_unit = _rotation_adjoint(unit, grad_R)
     grad_quaternions[i] = (grad_unit - unit * wp.dot(unit, grad_unit)) / wp.length(quaternions[i])
+
+    # to the mean by three ways: the Jacobian's, the pixel's and the depth's
+    grad_J = grad_M * wp.transpose(W * RS)
     grad_point = _jacobian_adjoint(point, slopes, focal, low, high, grad_J) + _pinhole_adjoint(
         point, focal, grad_means2d[i]
     )
@@ -311,21 +335,23 @@ def _project_adjoint(
 
 
 @wp.func
-def _pinhole_adjoint(point: wp.vec3, focal: wp.vec2, g: wp.vec2) -> wp.vec3:
-    """Gradient of the camera-space point from the gradient g of its pixel."""
-    x, y = g[0] * focal[0] / point[2], g[1] * focal[1] / point[2]
+def _pinhole_adjoint(point: wp.vec3, focal: wp.vec2, grad_pixel: wp.vec2) -> wp.vec3:
+    """Gradient of the camera-space point from that of its pixel."""
+    x, y = grad_pixel[0] * focal[0] / point[2], grad_pixel[1] * focal[1] / point[2]
     return wp.vec3(x, y, -(x * point[0] + y * point[1]) / point[2])
 
 
 @wp.func
 def _jacobian_adjoint(
-    point: wp.vec3, slopes: wp.vec2, focal: wp.vec2, low: wp.vec2, high: wp.vec2, g: mat23
+    point: wp.vec3, slopes: wp.vec2, focal: wp.vec2, low: wp.vec2, high: wp.vec2, grad_J: mat23
 ) -> wp.vec3:
-    """Gradient of the camera-space point from the gradient g of the Jacobian; a clamped slope passes none."""
+    """Gradient of the camera-space point from that of the Jacobian; a clamped slope passes none."""
     z = point[2]
     x, y = focal[0] / z, focal[1] / z
-    grad_z = -(x * (g[0, 0] - slopes[0] * g[0, 2]) + y * (g[1, 1] - slopes[1] * g[1, 2])) / z
-    grad_u, grad_v = -x * g[0, 2], -y * g[1, 2]
+    grad_z = (
+        -(x * (grad_J[0, 0] - slopes[0] * grad_J[0, 2]) + y * (grad_J[1, 1] - slopes[1] * grad_J[1, 2])) / z
+    )
+    grad_u, grad_v = -x * grad_J[0, 2], -y * grad_J[1, 2]
     u, v = point[0] / z, point[1] / z
     if u < low[0] or u > high[0]:
         grad_u = wp.float32(0.0)

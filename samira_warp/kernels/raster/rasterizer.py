@@ -21,28 +21,21 @@ class Rasterized(NamedTuple):
         means2d: (N, 2) float32, pixels; part of the graph, so that ``retain_grad`` gives density control its
             screen-space gradients.
         visible: (N,) bool, whether the Gaussian touches the image.
-        depths: (N,) float32, metres along the camera's z axis; 0 where not visible.
     """
 
     features: Tensor
     alpha: Tensor
     means2d: Tensor
     visible: Tensor
-    depths: Tensor
 
 
 def rasterize(
-    means: Tensor,
-    quaternions: Tensor,
-    scales: Tensor,
-    opacities: Tensor,
-    features: Tensor,
-    camera: Camera,
-    *,
-    capacity: int | None = None,
+    means: Tensor, quaternions: Tensor, scales: Tensor, opacities: Tensor, features: Tensor, camera: Camera
 ) -> Rasterized:
-    """Rasterise 3D Gaussians by EWA splatting; differentiable in the first five arguments through features,
-    alpha and depths.
+    """Rasterise 3D Gaussians by EWA splatting; differentiable in the first five arguments.
+
+    It is `project`, `bin_tiles` and `blend` in a row. The number of intersections is read back from the
+    device once; where that must not be, as in a captured graph, call the three, with a ``capacity``.
 
     Args:
         means: (N, 3) float32, world space, metres.
@@ -51,19 +44,14 @@ def rasterize(
         opacities: (N,) float32 in 0..1.
         features: (N, C) float32, finite; any channels, linear, C at least 1.
         camera: The view and the size of the image.
-        capacity: See `bin_tiles`; None reads the number of intersections back from the device, once.
 
     Raises:
         UserError: If a shape, dtype or device is wrong.
     """
+    width, height = camera.width, camera.height
     projection = project(means, quaternions, scales, opacities, camera)
-    size = {"width": camera.width, "height": camera.height}
-    bins = bin_tiles(projection, opacities, capacity=capacity, **size)
-    blended = blend(projection.means2d, projection.conics, opacities, features, bins, **size)
-    return Rasterized(
-        blended.features,
-        1.0 - blended.transmittance,
-        projection.means2d,
-        projection.visible,
-        projection.depths,
+    bins = bin_tiles(projection, opacities, width=width, height=height)
+    image = blend(
+        projection.means2d, projection.conics, opacities, features, bins, width=width, height=height
     )
+    return Rasterized(image.features, 1.0 - image.transmittance, projection.means2d, projection.visible)

@@ -1,5 +1,4 @@
-"""Slots: where the adjoint of blending leaves one gradient per intersection of a Gaussian with a tile, and
-their sums.
+"""Slots: where the adjoint of blending leaves a gradient per Gaussian and tile, and their sums.
 
 A Gaussian's slots lie side by side, so each is summed in a fixed order, without atomics, to the same bits on
 every run.
@@ -25,7 +24,7 @@ GRAIN = 2048
 
 
 class SlotGradients(NamedTuple):
-    """Gradients by slot.
+    """Gradients by slot, of I intersections.
 
     Attributes:
         values: (I, R) float32, GEOMETRY floats, then the channels, then what fills the row; R is a multiple
@@ -47,12 +46,32 @@ class SlotGradients(NamedTuple):
         return cls(values, torch.zeros(slots, dtype=torch.bool, device=values.device))
 
 
-def sum_slots(gradients: SlotGradients, bins: TileBins) -> Tensor:
-    """(N, R) sums over each Gaussian's slots, laid out as they are."""
+class GaussianGradients(NamedTuple):
+    """Gradients of what `blend` took of N Gaussians: views of one (N, R) tensor.
+
+    Attributes:
+        means2d: (N, 2) float32.
+        conics: (N, 3) float32.
+        opacities: (N,) float32.
+        features: (N, C) float32.
+    """
+
+    means2d: Tensor
+    conics: Tensor
+    opacities: Tensor
+    features: Tensor
+
+
+def sum_slots(gradients: SlotGradients, bins: TileBins, channels: int) -> GaussianGradients:
+    """Sums over each Gaussian's slots."""
     values, reached = gradients
-    totals = values.new_empty(bins.order.shape[0], values.shape[1])
-    launch_range(_sum_slots, len(totals), bins.order, bins.slot_offsets, values, reached, totals, grain=GRAIN)
-    return totals
+    count, width = bins.order.shape[0], values.shape[1]
+    totals = values.new_empty(count, width)
+    launch_range(_sum_slots, count, bins.order, bins.slot_offsets, values, reached, totals, grain=GRAIN)
+    means2d, conics, opacities, features, _ = totals.split(
+        (2, 3, 1, channels, width - GEOMETRY - channels), dim=1
+    )
+    return GaussianGradients(means2d, conics, opacities.squeeze(1), features)
 
 
 @wp.func_native("""
@@ -81,7 +100,9 @@ def _sum_slots(
     reached: wp.array[wp.bool],
     totals: wp.array2d[wp.float32],
 ) -> None:
+    """Sum the slots of one Gaussian, the Gaussians in the order of depth, in which their slots lie."""
     rank = first + wp.tid()
+    # slots are read one after the other, but totals are written anywhere
     prefetch_floats(totals, order[wp.min(rank + AHEAD, order.shape[0] - 1)])
     i = order[rank]
     _clear_row(totals, i)

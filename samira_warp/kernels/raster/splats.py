@@ -24,10 +24,6 @@ from samira_warp.support.constants import ALPHA_MIN
 RECORD = 8
 """Floats of a record before its features: mean x, y; root, shear, rest; level; cut; 1 / opacity."""
 
-Octet = wp.types.vector(length=8, dtype=wp.float32)
-"""Gradients of a record and its features come in eights: mean x, y; conic xx, xy, yy; opacity; two spare;
-then the channels."""
-
 GRAIN = 2048
 """Gaussians that are worth a thread."""
 
@@ -38,10 +34,10 @@ HALF_LOG2_E = wp.constant(wp.float64(0.5 / math.log(2.0)))
 def pack_splats(
     means2d: Tensor, conics: Tensor, opacities: Tensor, features: Tensor, bins: TileBins, *, multiple: int
 ) -> Tensor:
-    """(N, RECORD + P) records of N Gaussians, features padded with zeros to P channels, the next multiple of
-    ``multiple``.
+    """(N, RECORD + P) records of N Gaussians, their features padded with zeros to P channels.
 
-    They are numbered by ``bins``; those past the last in use are not written, nor is their memory touched.
+    P is the next multiple of ``multiple``. Records are numbered by ``bins``; those past the last in use are
+    not written, nor is their memory touched.
     """
     count, channels = features.shape
     splats = means2d.new_empty(count, RECORD + -(-channels // multiple) * multiple)
@@ -71,15 +67,15 @@ def _pack(
     features: wp.array2d[wp.float32],
     splats: wp.array2d[wp.float32],
 ) -> None:
-    """Write the record of each Gaussian: RECORD floats, then its features padded with zeros to the row's
-    end.
-    """
+    """Write the record of each Gaussian: RECORD floats, then its features, then zeros to the row's end."""
     i = first + wp.tid()
     record = record_offsets[i]
+    # it touches no tile
     if record == record_offsets[i + 1]:
         return
+
     level = wp.log2(opacities[i])
-    # rest is a difference of products: in float64 it loses nothing
+    # the conic's Cholesky factor; rest is a difference of products: in float64 it loses nothing
     root = wp.sqrt(HALF_LOG2_E * wp.float64(conics[i][0]))
     shear = HALF_LOG2_E * wp.float64(conics[i][1]) / root
     splats[record, 0] = means2d[i][0]
@@ -88,6 +84,7 @@ def _pack(
     splats[record, 3] = wp.float32(shear)
     splats[record, 4] = wp.float32(HALF_LOG2_E * wp.float64(conics[i][2]) - shear * shear)
     splats[record, 5] = level
+    # the cut, a little further out than ALPHA_MIN lies: an ellipse must not lose a pixel to rounding
     splats[record, 6] = (level - wp.static(math.log2(ALPHA_MIN))) * 1.0001 + 0.0015
     splats[record, 7] = 1.0 / opacities[i]
     _copy_features(splats, record, features, i)

@@ -8,7 +8,7 @@ without atomics.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import torch
 import warp as wp
@@ -16,10 +16,13 @@ from torch import Tensor
 
 from samira_warp.kernels.raster.ellipse import half_extent, touches, visible_sigma
 from samira_warp.kernels.raster.prefetch import AHEAD, prefetch_integers
-from samira_warp.kernels.raster.projection import GRAIN, Projection
+from samira_warp.kernels.raster.projection import Projection
 from samira_warp.kernels.runtime import launch_range, stream_of, warp_array
 from samira_warp.support.errors import UserError
-from samira_warp.support.validation import check_tensor
+from samira_warp.support.validation import check_tensors
+
+GRAIN = 1024
+"""Gaussians, or intersections, that are worth a thread."""
 
 TILE = 16
 """Pixels along a tile's side: one AVX-512 register of float32 per row, and 256 GPU threads per tile."""
@@ -29,8 +32,7 @@ ENTRIES_MAX = 2**30
 
 
 class TileBins(NamedTuple):
-    """Intersections of N Gaussians with T = columns x rows tiles (row-major); I entries, or as many as the
-    capacity.
+    """Intersections of N Gaussians with T = columns x rows tiles (row-major): I entries.
 
     Attributes:
         tile_offsets: (T + 1,) int32; tile t blends entries tile_offsets[t] to tile_offsets[t + 1].
@@ -65,8 +67,9 @@ class TileBins(NamedTuple):
 def bin_tiles(
     projection: Projection, opacities: Tensor, *, width: int, height: int, capacity: int | None = None
 ) -> TileBins:
-    """Sort the Gaussians into the tiles where their alpha reaches ALPHA_MIN at some point between pixel
-    centres.
+    """Sort the Gaussians into the tiles that they can be seen in.
+
+    That is where their alpha reaches ALPHA_MIN at some point between the tile's outermost pixel centres.
 
     Args:
         projection: N projected Gaussians.
@@ -74,82 +77,74 @@ def bin_tiles(
         width: W, pixels.
         height: H, pixels.
         capacity: Room for this many intersections, so that their number need not be read back from the
-            device; where there are more, the farthest Gaussians lose theirs. None reads the number back and
-            makes room for exactly as many.
+            device, as in a captured graph it cannot be; where there are more, the farthest Gaussians lose
+            theirs. None reads the number back and makes room for exactly as many.
 
     Raises:
-        UserError: If opacities do not fit, or the image or the number of intersections is too large for the
-            indices.
+        UserError: If a shape, dtype or device is wrong, or the image or the number of intersections is too
+            large for the indices.
     """
-    count = projection.depths.shape[0]
-    check_tensor("opacities", opacities, shape=(count,), device=projection.depths.device)
+    check_tensors(
+        ("projection.means2d", projection.means2d, ("N", 2)),
+        ("projection.depths", projection.depths, ("N",)),
+        ("projection.conics", projection.conics, ("N", 3)),
+        ("projection.visible", projection.visible, ("N",), torch.bool),
+        ("opacities", opacities, ("N",)),
+    )
     if capacity is not None and not (isinstance(capacity, int) and 0 <= capacity < ENTRIES_MAX):
         raise UserError(
             "capacity", expected=f"a whole number of at least 0 and less than {ENTRIES_MAX}", found=capacity
         )
-    columns, rows = -(-width // TILE), -(-height // TILE)
+    columns, rows = tile_grid(width, height)
     if max(columns, rows) >= 2**15:
         raise UserError(
             "image", expected=f"fewer than {2**15 * TILE} pixels along each side", found=f"{width} x {height}"
         )
-    geometry = (
-        projection.means2d.contiguous(),
-        projection.conics.contiguous(),
-        opacities.contiguous(),
-        width,
-        height,
-        columns,
+    ellipses = _Ellipses(
+        projection.means2d.contiguous(), projection.conics.contiguous(), opacities.contiguous()
     )
-    covers = _cover(projection, geometry)
-    order = covers.order
-    slot_ends, record_offsets = (
-        _offsets(covers.counts.index_select(0, order)),
-        _offsets(covers.counts > 0).int(),
-    )
-    unfilled = 0 if capacity is None else capacity
-    if capacity is None:
-        capacity = int(slot_ends[count])
-        if capacity >= ENTRIES_MAX:
-            raise UserError(
-                "Gaussians", expected=f"fewer than {ENTRIES_MAX} intersections with tiles", found=capacity
-            )
-    slot_offsets = slot_ends.clamp(max=capacity).int()
+    covers = _cover(projection, ellipses, width, height)
+    count, order = len(covers.order), covers.order
 
-    # the sort wants twice the room; entries that nothing fills carry the tile number columns x rows, after
-    # all others
-    tiles, slots = (order.new_empty(2 * capacity) for _ in range(2))
-    records_by_slot = order.new_empty(capacity)
-    if unfilled:
-        launch_range(_mark_unfilled, unfilled, columns * rows, tiles, slots, records_by_slot, grain=GRAIN)
-    launch_range(
-        _emit_tiles,
-        count,
-        *covers,
-        *geometry,
-        slot_offsets,
-        record_offsets,
-        tiles,
-        slots,
-        records_by_slot,
-        grain=GRAIN,
-    )
+    # where each Gaussian's slots and record begin: slots by depth, records by index
+    slot_ends = _offsets(covers.counts.index_select(0, order))
+    record_offsets = _offsets(covers.counts > 0).int()
+    room = int(slot_ends[count]) if capacity is None else capacity
+    if room >= ENTRIES_MAX:
+        raise UserError(
+            "Gaussians", expected=f"fewer than {ENTRIES_MAX} intersections with tiles", found=room
+        )
+    slot_offsets = slot_ends.clamp(max=room).int()
+
+    # a row for each intersection; the sort wants twice the room
+    tiles, slots = order.new_empty(2 * room), order.new_empty(2 * room)
+    records_by_slot = order.new_empty(room)
+    if capacity is not None:
+        launch_range(_mark_unfilled, room, columns * rows, tiles, slots, records_by_slot, grain=GRAIN)
+    offsets, entries = (slot_offsets, record_offsets), (tiles, slots, records_by_slot)
+    launch_range(_emit_tiles, count, *covers, *ellipses, width, height, *offsets, *entries, grain=GRAIN)
+
+    # stable: within a tile they stay in the order of depth
     _sort_pairs(tiles, slots, bits=(columns * rows).bit_length())
     records, tile_offsets = torch.empty_like(records_by_slot), order.new_empty(columns * rows + 1)
-    launch_range(
-        _close_lists,
-        capacity + 1,
-        columns * rows,
-        tiles,
-        slots,
-        records_by_slot,
-        records,
-        tile_offsets,
-        grain=GRAIN,
-    )
+    launch_range(_close_lists, room + 1, columns * rows, *entries, records, tile_offsets, grain=GRAIN)
     # a copy, so that the sort's spare room is not kept
     return TileBins(
-        tile_offsets, records, slots[:capacity].clone(), order, slot_offsets, record_offsets, columns, rows
+        tile_offsets, records, slots[:room].clone(), order, slot_offsets, record_offsets, columns, rows
     )
+
+
+def tile_grid(width: int, height: int) -> tuple[int, int]:
+    """Columns and rows of tiles of an image."""
+    return -(-width // TILE), -(-height // TILE)
+
+
+class _Ellipses(NamedTuple):
+    """The part of N projected Gaussians that says where they are seen: as in `Projection`, contiguous."""
+
+    means2d: Tensor
+    conics: Tensor
+    opacities: Tensor
 
 
 class _Covers(NamedTuple):
@@ -168,13 +163,15 @@ class _Covers(NamedTuple):
     boxes: Tensor
 
 
-def _cover(projection: Projection, geometry: tuple[Any, ...]) -> _Covers:
-    count = projection.depths.shape[0]
+def _cover(projection: Projection, ellipses: _Ellipses, width: int, height: int) -> _Covers:
+    """Find the tiles of each Gaussian, and sort by depth."""
+    count = len(projection.depths)
     keys = projection.depths.new_empty(2 * count)
     order = torch.empty(2 * count, dtype=torch.int32, device=keys.device)
     counts, boxes = order.new_empty(count), order.new_empty(count, 2, dtype=torch.int64)
-    arguments = (projection.visible, projection.depths.contiguous(), *geometry, counts, boxes, keys, order)
-    launch_range(_cover_tiles, count, *arguments, grain=GRAIN)
+    seen = (projection.visible.contiguous(), projection.depths.contiguous())
+    outputs = (counts, boxes, keys, order)
+    launch_range(_cover_tiles, count, *seen, *ellipses, width, height, *outputs, grain=GRAIN)
     _sort_pairs(keys, order, bits=32)
     # a copy, so that the sort's spare room is not kept
     return _Covers(order[:count].clone(), counts, boxes)
@@ -197,9 +194,7 @@ def _offsets(counts: Tensor) -> Tensor:
 
 @wp.func
 def _tile_box(mean: wp.vec2, extent: wp.vec2, width: wp.int32, height: wp.int32) -> wp.vec4i:
-    """Tiles (left, top, right, bottom), the last two exclusive, whose pixel centres the box mean +- extent
-    may cover.
-    """
+    """Tiles (left, top, right, bottom), the last two exclusive, that the box mean +- extent may reach."""
     last = wp.vec2(float(width - 1), float(height - 1))
     # indices of pixel centres, clamped as floats: the box of a huge Gaussian overflows an integer
     left = int(wp.clamp(wp.ceil(mean[0] - extent[0] - 0.5), 0.0, last[0]))
@@ -253,7 +248,6 @@ def _cover_tiles(
     opacities: wp.array[wp.float32],
     width: wp.int32,
     height: wp.int32,
-    columns: wp.int32,
     counts: wp.array[wp.int32],
     boxes: wp.array2d[wp.int64],
     keys: wp.array[wp.float32],
@@ -267,6 +261,7 @@ def _cover_tiles(
     if visible[i]:
         sigma = visible_sigma(opacities[i])
     if sigma >= 0.0:
+        # only the tiles of its box can touch the ellipse; the answers are kept, a bit each, for `_emit_tiles`
         mean, conic = means2d[i], conics[i]
         box = _tile_box(mean, half_extent(conic, sigma), width, height)
         mask, bit = wp.int64(0), wp.int64(0)
@@ -280,6 +275,7 @@ def _cover_tiles(
         boxes[i, 0] = _pack_box(box)
         boxes[i, 1] = mask
     counts[i] = count
+    # those that are not seen go last
     keys[i] = wp.where(count > 0, depths[i], wp.float32(wp.inf))
 
 
@@ -291,6 +287,7 @@ def _mark_unfilled(
     slots: wp.array[wp.int32],
     records_by_slot: wp.array[wp.int32],
 ) -> None:
+    """Room that may stay empty belongs to a tile after all others, which the sort leaves at the end."""
     slot = first + wp.tid()
     tiles[slot] = tile_count
     slots[slot] = slot
@@ -308,7 +305,6 @@ def _emit_tiles(
     opacities: wp.array[wp.float32],
     width: wp.int32,
     height: wp.int32,
-    columns: wp.int32,
     slot_offsets: wp.array[wp.int32],
     record_offsets: wp.array[wp.int32],
     tiles: wp.array[wp.int32],
@@ -318,12 +314,14 @@ def _emit_tiles(
     """Write each Gaussian's tiles to its slots; those beyond the capacity are dropped."""
     rank = first + wp.tid()
     prefetch_integers(boxes, order[wp.min(rank + AHEAD, order.shape[0] - 1)])
+    columns = (width + TILE - 1) / TILE
     slot, end = int(slot_offsets[rank]), slot_offsets[rank + 1]
     if slot == end:
         return
     i = order[rank]
     record = record_offsets[i]
     box, mask = _unpack_box(boxes[i, 0]), wp.int64(boxes[i, 1])
+    # a bit for each tile, or, of boxes with more tiles than bits, the test again
     masked = (box[2] - box[0]) * (box[3] - box[1]) <= 64
     for row in range(box[1], box[3]):
         for column in range(box[0], box[2]):
@@ -350,10 +348,9 @@ def _close_lists(
     records: wp.array[wp.int32],
     tile_offsets: wp.array[wp.int32],
 ) -> None:
-    """Write the record of each sorted entry, and where the lists of tiles begin between it and the entry
-    before.
-    """
+    """Write the record of each sorted entry, and where lists of tiles begin between it and the one before."""
     entry = first + wp.tid()
+    # beyond both ends lie tiles -1 and ``tile_count``, so that empty tiles there get their bounds too
     before, tile = wp.int32(-1), tile_count
     if entry > 0:
         before = tiles[entry - 1]

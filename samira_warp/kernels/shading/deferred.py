@@ -24,10 +24,10 @@ from samira_warp.kernels.cubemap.layout import (
     FacePoint,
     cell_count,
     cell_index,
+    find_face,
+    find_face_adjoint,
     footprint,
     mip_table,
-    project,
-    project_adjoint,
 )
 from samira_warp.kernels.cubemap.lookup import level_moves, lower_level, pack_mips, texel_gradient
 from samira_warp.kernels.runtime import launch_range
@@ -284,13 +284,13 @@ def _shade(
         return
 
     # L_d = tau_d E_d(n)
-    cell = footprint(project(n), size)
+    cell = footprint(find_face(n), size)
     diffuse = response_diffuse[m] * blend_cell(cell, read_cell(irradiance_map, 0, cell, size))
 
     # L_s = tau_s E_s(r, rho), r the view mirrored at the normal
     cosine = wp.dot(n, view[m])
     level = roughness[m] * wp.float32(table.shape[0] - 1)
-    light = response_specular[m] * look_up(mips, table, project(2.0 * cosine * n - view[m]), level)
+    light = response_specular[m] * look_up(mips, table, find_face(2.0 * cosine * n - view[m]), level)
 
     # C_fg = a (1 - f) L_d + L_s (f B_x + B_y), and its display values on the background
     b = read_brdf(brdf, find_brdf(roughness[m], cosine, brdf.shape[0]))
@@ -364,7 +364,7 @@ def _diffuse_adjoint(
 
     # forward again: E_d(n)
     tau = response_diffuse[m]
-    point = project(n)
+    point = find_face(n)
     cell = footprint(point, size)
     texels = read_cell(irradiance_map, 0, cell, size)
     irradiance = blend_cell(cell, texels)
@@ -379,7 +379,7 @@ def _diffuse_adjoint(
     grad_specular[m] = -wp.dot(albedo[m], grad_product)
     grad_response_diffuse[m] = wp.dot(irradiance, grad_l_d)
     slope = 0.5 * wp.float32(size) * cell_slope(cell, texels, grad_e_d)
-    grad_normal[m] = project_adjoint(n, point, slope[0], slope[1])
+    grad_normal[m] = find_face_adjoint(n, point, slope[0], slope[1])
 
     # to the map
     grad_lookup[m] = grad_e_d
@@ -477,11 +477,11 @@ def _specular_adjoint(
 
     # through the lookup, whose value comes along; this notes the gradient of the mips
     r = 2.0 * cosine * n - v
-    point = project(r)
+    point = find_face(r)
     level = roughness[m] * wp.float32(levels - 1)
     seen = _look_up_again(mips, table, point, level, grad_e_s, m, cells, places)
     light = seen.light
-    grad_r = project_adjoint(r, point, seen.slope[0], seen.slope[1])
+    grad_r = find_face_adjoint(r, point, seen.slope[0], seen.slope[1])
     grad_lookup[m] = grad_e_s
 
     # through the factor f B_x + B_y, and through r, to n . v

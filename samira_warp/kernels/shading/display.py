@@ -41,8 +41,9 @@ def show(color: wp.vec3, encoded: wp.bool) -> wp.vec3:
 
 
 @wp.func
-def show_adjoint(color: wp.vec3, encoded: wp.bool, grad: wp.vec3) -> wp.vec3:
+def show_adjoint(color: wp.vec3, encoded: wp.bool, grad_shown: wp.vec3) -> wp.vec3:
     """Gradient with respect to the radiance, from that of `show`."""
     if not encoded:
-        return grad
-    return wp.cw_mul(wp.vec3(encode_slope(color[0]), encode_slope(color[1]), encode_slope(color[2])), grad)
+        return grad_shown
+    slope = wp.vec3(encode_slope(color[0]), encode_slope(color[1]), encode_slope(color[2]))
+    return wp.cw_mul(slope, grad_shown)

@@ -1,6 +1,4 @@
-"""The rasteriser in plain torch, every pixel against every Gaussian: the specification of
-`samira_warp.kernels.raster.rasterizer`.
-"""
+"""The rasteriser of `samira_warp.kernels.raster.rasterizer` in plain torch: its specification."""
 
 from __future__ import annotations
 
@@ -16,8 +14,9 @@ from samira_warp.reference.raster.projection import project
 def rasterize(
     means: Tensor, quaternions: Tensor, scales: Tensor, opacities: Tensor, features: Tensor, camera: Camera
 ) -> Rasterized:
-    """As `samira_warp.kernels.raster.rasterizer.rasterize`, in the dtype of ``means``; finite inputs only;
-    O(N H W) memory.
+    """As `samira_warp.kernels.raster.rasterizer.rasterize`, in the dtype of ``means``; finite inputs only.
+
+    Every pixel meets every Gaussian: O(N H W) memory.
     """
     projection = project(means, quaternions, scales, opacities, camera)
     order = torch.argsort(projection.depths, stable=True)
@@ -32,9 +31,5 @@ def rasterize(
         height=camera.height,
     )
     return Rasterized(
-        blended.features,
-        1.0 - blended.transmittance,
-        projection.means2d,
-        projection.visible,
-        projection.depths,
+        blended.features, 1.0 - blended.transmittance, projection.means2d, projection.visible
     )
