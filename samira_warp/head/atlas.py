@@ -30,11 +30,8 @@ class UvAtlas:
 
     Attributes:
         size: H = W, texels.
-        face: (H, W) int32 covering face, -1 where there is none.
-        barycentrics: (H, W, 3) float32 weights of the covering face's corners.
-        covered: (H, W) bool, texels whose centre a face covers.
-        valid: (H, W) bool, covered texels and those up to 2 texels beyond a chart's border, which copy the
-            nearest covered texel.
+        valid: (H, W) bool, texels whose centre a face covers and those up to 2 texels beyond a chart's border,
+            which copy the nearest covered one.
         region: (H, W) int8 index into REGIONS of every valid texel, else -1: the disjoint routing masks.
         soft_masks: (K, H, W) float32 routing masks softened within their charts; they sum to 1 where a
             texel's face is in some mask of the template, and are 0 elsewhere.
@@ -46,9 +43,6 @@ class UvAtlas:
     """
 
     size: int
-    face: Tensor
-    barycentrics: Tensor
-    covered: Tensor
     valid: Tensor
     region: Tensor
     soft_masks: Tensor
@@ -79,9 +73,6 @@ class UvAtlas:
         corners = torch.from_numpy(template.faces)[face.flatten()]
         return cls(
             size=size,
-            face=raster.face,
-            barycentrics=raster.barycentrics,
-            covered=raster.face >= 0,
             valid=valid,
             region=region,
             soft_masks=_soften(region.long(), chart, responds),

@@ -1,3 +1,1 @@
-"""Every kernel again in plain torch, differentiable and float64-capable: the specification that tests hold
-the kernels to.
-"""
+"""Every kernel again in plain torch, differentiable and in any dtype: what tests hold the kernels to."""

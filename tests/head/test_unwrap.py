@@ -4,6 +4,7 @@ from subjects import camera, small_canonical
 
 from samira_warp.geometry.mesh import vertex_normals
 from samira_warp.head.unwrap import GRAZING_COSINE, UnwrapView, unwrap
+from samira_warp.kernels.mesh.uv_raster import rasterize_uv
 
 SIZE = 128
 
@@ -38,22 +39,31 @@ def coordinates():
     return torch.stack([x, y, torch.zeros_like(x)], dim=-1) / SIZE
 
 
+def covering_faces(canonical):
+    """(h, w) long: the face that covers each texel's centre, -1 where none does."""
+    atlas = canonical.atlas
+    return rasterize_uv(atlas.vt, atlas.ft, size=atlas.size).face.long()
+
+
 def eyeballs(canonical):
     """(h, w) bool: texels of the eyeballs, which lie under the surface."""
     hidden = torch.zeros(len(canonical.vertices), dtype=torch.bool)
     for name in ("left_eyeball", "right_eyeball"):
         hidden[torch.from_numpy(canonical.template.masks[name]).long()] = True
-    return (
-        hidden[canonical.topology.faces.long()].all(1)[canonical.atlas.face.clamp(min=0).long()]
-        & canonical.atlas.covered
-    )
+    faces = covering_faces(canonical)
+    return hidden[canonical.topology.faces.long()].all(1)[faces.clamp(min=0)] & (faces >= 0)
+
+
+def skin(canonical):
+    """(h, w) bool: texels that some face covers, those of the eyeballs apart."""
+    return (covering_faces(canonical) >= 0) & ~eyeballs(canonical)
 
 
 def test_visible_texels_read_the_pixel_that_they_project_to():
     canonical = small_canonical()
     texture = unwrapped([view_of(canonical, coordinates())], canonical)
     pixels, cosine = projected(canonical)
-    sure = canonical.atlas.covered & (cosine > 2 * GRAZING_COSINE) & ~eyeballs(canonical)
+    sure = skin(canonical) & (cosine > 2 * GRAZING_COSINE)
     assert sure.sum() > 100
     torch.testing.assert_close(texture[sure][:, :2], pixels[sure] / SIZE, atol=1e-4, rtol=0)
 
@@ -65,7 +75,7 @@ def test_what_no_view_sees_takes_its_mirror_images_value():
     mask[:, SIZE // 2 :] = 1.0
     texture = unwrapped([view_of(canonical, coordinates(), mask=mask)], canonical)
     pixels, cosine = projected(canonical)
-    front = canonical.atlas.covered & (cosine > 2 * GRAZING_COSINE) & ~eyeballs(canonical)
+    front = skin(canonical) & (cosine > 2 * GRAZING_COSINE)
     known = front & (pixels[..., 0] > SIZE / 2 + 2)
     missing = front & (pixels[..., 0] < SIZE / 2 - 2)
     assert known.sum() > 30

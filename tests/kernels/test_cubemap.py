@@ -12,7 +12,7 @@ from samira_warp.kernels.cubemap.layout import (
 )
 from samira_warp.kernels.cubemap.lookup import sample_cubemap, sample_mips
 from samira_warp.light.equirect import cube_to_equirect, equirect_to_cube
-from samira_warp.reference.cubemap import layout as reference
+from samira_warp.reference.cubemap import lookup as reference
 from samira_warp.support.errors import UserError
 
 

@@ -1,6 +1,4 @@
-"""Pictures of a panorama in plain torch, for any floating dtype: the specification of
-`kernels.equirect_lookup`.
-"""
+"""The pictures of `samira_warp.kernels.cubemap.equirect` in plain torch, for any floating dtype."""
 
 from __future__ import annotations
 
@@ -11,7 +9,7 @@ from samira_warp.light.equirect import direction_to_equirect, wrap_equirect
 
 
 def picture_equirect(equirect: Tensor, directions: Tensor) -> Tensor:
-    """See `kernels.equirect_lookup.picture_equirect`."""
+    """As `samira_warp.kernels.cubemap.equirect.picture_equirect`."""
     height, width = equirect.shape[:2]
     u, v = direction_to_equirect(directions)
     # among the padded pixels, the four nearest a point begin one and a half before it, and two pixels of
@@ -28,8 +26,9 @@ def picture_equirect(equirect: Tensor, directions: Tensor) -> Tensor:
 
 
 def _spline_weights(place: Tensor) -> Tensor:
-    """(..., 4) weights of the uniform cubic B-spline for its four nearest knots, ``place`` (...) in 0..1
-    between the middle two.
+    """(..., 4) weights of the uniform cubic B-spline for its four nearest knots.
+
+    ``place`` (...) is 0..1 between the middle two.
     """
     rest = 1.0 - place
     inner = (4.0 - 6.0 * place**2 + 3.0 * place**3, 4.0 - 6.0 * rest**2 + 3.0 * rest**3)

@@ -1,6 +1,4 @@
-"""Irradiance and GGX prefiltering as brute-force sums over all pairs of texels: the specification of
-`kernels.cubemap_filter`.
-"""
+"""The filters of `samira_warp.kernels.cubemap.filter` in plain torch: sums over all pairs of texels."""
 
 from __future__ import annotations
 
@@ -13,13 +11,13 @@ from samira_warp.kernels.cubemap.layout import texel_directions, texel_solid_ang
 
 
 def irradiance(radiance: Tensor, *, size: int = 16) -> Tensor:
-    """See `kernels.cubemap_filter.irradiance`; any floating dtype."""
+    """As `samira_warp.kernels.cubemap.filter.irradiance`; any floating dtype."""
     weights = _cosines(radiance, size).clamp(min=0) * _areas(radiance)
     return _apply(weights / torch.pi, radiance, size)
 
 
 def prefilter(base: Tensor, *, ladder: Sequence[tuple[float, int]]) -> tuple[Tensor, ...]:
-    """See `kernels.cubemap_filter.prefilter`; any floating dtype."""
+    """As `samira_warp.kernels.cubemap.filter.prefilter`; any floating dtype."""
     mips = [base]
     for roughness, size in ladder:
         weights = lobe_weights(base, roughness, size)
@@ -28,8 +26,7 @@ def prefilter(base: Tensor, *, ladder: Sequence[tuple[float, int]]) -> tuple[Ten
 
 
 def lobe_weights(base: Tensor, roughness: float, size: int) -> Tensor:
-    """(6 size^2, B) weights D_GGX(n . h) max(n . l, 0) dOmega, before normalisation, of all texels of
-    ``base`` for all of the result.
+    """(6 size^2, B) weights D_GGX(n . h) max(n . l, 0) dOmega of the base's texels, not normalised.
 
     Their sums approach the integral over the sphere: with h half-way between n and l, dOmega_l = 4 (n . h)
     dOmega_h.
@@ -42,11 +39,12 @@ def lobe_weights(base: Tensor, roughness: float, size: int) -> Tensor:
 
 
 def _cosines(base: Tensor, size: int) -> Tensor:
-    options = {"dtype": base.dtype, "device": base.device}
-    return (
-        texel_directions(size, **options).view(-1, 3)
-        @ texel_directions(base.shape[1], **options).view(-1, 3).T
+    """(6 size^2, B) n . l of all texels of the result with all of ``base``."""
+    normals, lights = (
+        texel_directions(edge, dtype=base.dtype, device=base.device).view(-1, 3)
+        for edge in (size, base.shape[1])
     )
+    return normals @ lights.T
 
 
 def _areas(base: Tensor) -> Tensor:

@@ -7,8 +7,7 @@ from torch import Tensor
 
 
 def closest_barycentrics(points: Tensor, triangles: Tensor) -> Tensor:
-    """Weights (N, 3) of the corners (N, 3, 3) at the point of the triangle closest to each of ``points`` (N,
-    3).
+    """Weights (N, 3) of the corners (N, 3, 3) at each triangle's point closest to its own point (N, 3).
 
     Said without Voronoi regions: the closest of the three edges' closest points, unless the foot of the
     perpendicular lies inside.
@@ -32,9 +31,7 @@ def closest_barycentrics(points: Tensor, triangles: Tensor) -> Tensor:
 
 
 def _foot(p: Tensor, a: Tensor, b: Tensor, c: Tensor) -> Tensor:
-    """Weights of the foot of the perpendicular from p to the triangle's plane; not finite for a degenerate
-    triangle.
-    """
+    """Weights of the foot of the perpendicular from p to the triangle's plane; not finite without a plane."""
     normal = torch.linalg.cross(b - a, c - a)
     squared = (normal * normal).sum(dim=1)
     weights = [

@@ -49,9 +49,7 @@ def quaternion_product(p: Tensor, q: Tensor) -> Tensor:
 
 
 def rotation_to_quaternion(rotation: Tensor) -> Tensor:
-    """Unit quaternions (N, 4) (w, x, y, z) of (N, 3, 3) rotations, by the largest of their components
-    (Shepperd).
-    """
+    """Unit quaternions (N, 4) (w, x, y, z) of (N, 3, 3) rotations, by their largest component (Shepperd)."""
     (xx, xy, xz), (yx, yy, yz), (zx, zy, zz) = (row.unbind(dim=-1) for row in rotation.unbind(dim=-2))
     w, x, y, z = 1 + xx + yy + zz, 1 + xx - yy - zz, 1 - xx + yy - zz, 1 - xx - yy + zz
     candidates = torch.stack(

@@ -10,9 +10,7 @@ from samira_warp.support.constants import DEGENERATE_TRIANGLE
 
 
 def triangle_frames(vertices: Tensor, topology: MeshTopology) -> TriangleFrames:
-    """Frame r, t, k of every triangle, (V, 3) to F of each; constants r = 1 and k where a triangle is
-    degenerate.
-    """
+    """Frame r, t, k of every triangle; where one is degenerate r = 1 and k are constants."""
     a, b, c = vertices[topology.faces.long()].unbind(dim=1)
     edge, side = b - a, c - a
     degenerate = _is_degenerate(edge.detach(), side.detach())

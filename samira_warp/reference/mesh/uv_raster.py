@@ -1,6 +1,4 @@
-"""The UV rasteriser of `samira_warp.kernels.mesh.uv_raster` in plain torch: every texel against every
-triangle.
-"""
+"""The rasteriser of `samira_warp.kernels.mesh.uv_raster` in plain torch: every texel meets every face."""
 
 from __future__ import annotations
 
@@ -11,9 +9,7 @@ from samira_warp.kernels.mesh.uv_raster import UvRaster
 
 
 def rasterize_uv(vt: Tensor, ft: Tensor, *, size: int) -> UvRaster:
-    """Lowest face id that holds each texel's centre, and the centre's weights in it; memory grows with F *
-    size.
-    """
+    """Lowest face id that holds each texel's centre, and the centre's weights in it; O(F size) memory."""
     centres = (torch.arange(size, dtype=vt.dtype, device=vt.device) + 0.5) / size
     corners = vt[ft.long()]
     rows = [_row(torch.stack([centres, (1 - v).expand(size)], dim=1), corners) for v in centres]

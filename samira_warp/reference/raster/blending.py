@@ -1,6 +1,4 @@
-"""Alpha blending in plain torch, every pixel against every Gaussian: the specification of
-`samira_warp.kernels.raster.blending`.
-"""
+"""The blending of `samira_warp.kernels.raster.blending` in plain torch: its specification."""
 
 from __future__ import annotations
 
@@ -21,8 +19,9 @@ def blend(
     width: int,
     height: int,
 ) -> Blended:
-    """As `samira_warp.kernels.raster.blending.blend`, from the Gaussians to blend, front to back, in place of
-    tile bins; O(N H W) memory.
+    """As `samira_warp.kernels.raster.blending.blend`, without tile bins.
+
+    It takes the Gaussians to blend, front to back, and every pixel meets every one: O(N H W) memory.
 
     Args:
         means2d: (N, 2) pixels.

@@ -1,4 +1,4 @@
-"""EWA projection in plain torch: the specification of `samira_warp.kernels.raster.projection`."""
+"""The projection of `samira_warp.kernels.raster.projection` in plain torch: its specification."""
 
 from __future__ import annotations
 
@@ -41,8 +41,9 @@ def project(
 
 
 def least_sigma(means2d: Tensor, conics: Tensor, rectangle: Tensor) -> Tensor:
-    """Least (1/2) d' K d over the rectangle (left, top, right, bottom), any broadcast batch: 0 inside, else a
-    minimum on the border.
+    """Least (1/2) d' K d over the rectangle (left, top, right, bottom), any broadcast batch.
+
+    It is 0 inside, else a minimum on the border.
 
     Args:
         means2d: (..., 2) pixels.
@@ -79,8 +80,9 @@ def _rotations(quaternions: Tensor) -> Tensor:
 def _image_covariances(
     R: Tensor, scales: Tensor, W: Tensor, u: Tensor, v: Tensor, z: Tensor, camera: Camera
 ) -> Tensor:
-    """(N, 2, 2) covariances J W R S S' R' W' J' + LOW_PASS I, pixels squared; slopes u = x/z and v = y/z
-    clamped in J.
+    """(N, 2, 2) covariances J W R S S' R' W' J' + LOW_PASS I, pixels squared.
+
+    The slopes u = x/z and v = y/z are clamped in J.
     """
     margin_x, margin_y = FRUSTUM_MARGIN * camera.width / camera.fx, FRUSTUM_MARGIN * camera.height / camera.fy
     u = u.clamp(-camera.cx / camera.fx - margin_x, (camera.width - camera.cx) / camera.fx + margin_x)

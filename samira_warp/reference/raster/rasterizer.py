@@ -30,6 +30,4 @@ def rasterize(
         width=camera.width,
         height=camera.height,
     )
-    return Rasterized(
-        blended.features, 1.0 - blended.transmittance, projection.means2d, projection.visible
-    )
+    return Rasterized(blended.features, 1.0 - blended.transmittance, projection.means2d, projection.visible)

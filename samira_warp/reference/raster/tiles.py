@@ -1,6 +1,4 @@
-"""Tile bins in plain torch, every Gaussian against every tile: the specification of
-`samira_warp.kernels.raster.tiles`.
-"""
+"""The bins of `samira_warp.kernels.raster.tiles` in plain torch: their specification."""
 
 from __future__ import annotations
 
@@ -14,16 +12,15 @@ from samira_warp.support.constants import ALPHA_MIN
 
 
 def bin_tiles(projection: Projection, opacities: Tensor, *, width: int, height: int) -> TileBins:
-    """As `samira_warp.kernels.raster.tiles.bin_tiles` without a capacity; O(N T) memory."""
+    """As `samira_warp.kernels.raster.tiles.bin_tiles` without a capacity.
+
+    Every Gaussian meets every tile: O(N T) memory.
+    """
     columns, rows = -(-width // TILE), -(-height // TILE)
     row, column = torch.meshgrid(torch.arange(rows), torch.arange(columns), indexing="ij")
     left, top = TILE * column.flatten(), TILE * row.flatten()
-    edges = [
-        left + 0.5,
-        top + 0.5,
-        (left + TILE).clamp(max=width) - 0.5,
-        (top + TILE).clamp(max=height) - 0.5,
-    ]
+    right, bottom = (left + TILE).clamp(max=width), (top + TILE).clamp(max=height)
+    edges = [left + 0.5, top + 0.5, right - 0.5, bottom - 0.5]
     rectangles = torch.stack(edges, dim=-1).to(projection.means2d)
 
     depths = torch.where(projection.visible, projection.depths, torch.inf)
@@ -40,13 +37,5 @@ def bin_tiles(projection: Projection, opacities: Tensor, *, width: int, height: 
     listed = touched.any(dim=1)[torch.argsort(order)]
     record_offsets = torch.cat([touched.new_zeros(1, dtype=torch.long), listed.cumsum(dim=0)])
     records = record_offsets[order[ranks][slots]]
-    return TileBins(
-        offsets,
-        records.int(),
-        slots.int(),
-        order.int(),
-        slot_offsets.int(),
-        record_offsets.int(),
-        columns,
-        rows,
-    )
+    lists = (offsets, records, slots, order, slot_offsets, record_offsets)
+    return TileBins(*(values.int() for values in lists), columns, rows)

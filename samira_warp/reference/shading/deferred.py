@@ -8,7 +8,7 @@ from torch import Tensor
 from samira_warp.kernels.shading.brdf import GRAZING
 from samira_warp.kernels.shading.deferred import Shaded
 from samira_warp.light.color import compose
-from samira_warp.reference.cubemap.layout import sample_cubemap, sample_mips
+from samira_warp.reference.cubemap.lookup import sample_cubemap, sample_mips
 from samira_warp.support.constants import COVERED_ALPHA
 from samira_warp.surface import Surface
 

@@ -1,4 +1,4 @@
-"""Cubemap lookups in plain torch: the specification of `kernels.cubemap_lookup`, for any floating dtype."""
+"""The lookups of `samira_warp.kernels.cubemap.lookup` in plain torch, for any floating dtype."""
 
 from __future__ import annotations
 
@@ -9,13 +9,14 @@ from samira_warp.kernels.cubemap.layout import FACES, face_axes, texel_index
 
 
 def sample_cubemap(cubemap: Tensor, directions: Tensor) -> Tensor:
-    """See `kernels.cubemap_lookup.sample_cubemap`: each face is widened by a border of its neighbours'
-    texels, then looked up.
+    """As `samira_warp.kernels.cubemap.lookup.sample_cubemap`.
+
+    Each face is widened by a border of its neighbours' texels, then looked up.
     """
     size = cubemap.shape[1]
     padded = pad_faces(cubemap)
     seen = (directions != 0).any(dim=-1)
-    face, s, t = project(torch.where(seen[:, None], directions, torch.ones_like(directions)))
+    face, s, t = find_face(torch.where(seen[:, None], directions, torch.ones_like(directions)))
     column = (s + 1) * size / 2 + 0.5
     row = (t + 1) * size / 2 + 0.5
     i = column.detach().floor().long().clamp(0, size)
@@ -27,7 +28,7 @@ def sample_cubemap(cubemap: Tensor, directions: Tensor) -> Tensor:
 
 
 def sample_mips(mips: tuple[Tensor, ...], directions: Tensor, levels: Tensor) -> Tensor:
-    """See `kernels.cubemap_lookup.sample_mips`."""
+    """As `samira_warp.kernels.cubemap.lookup.sample_mips`."""
     seen = torch.stack([sample_cubemap(mip, directions) for mip in mips], dim=1)
     last = len(mips) - 1
     levels = levels.clamp(0, last)
@@ -37,8 +38,8 @@ def sample_mips(mips: tuple[Tensor, ...], directions: Tensor, levels: Tensor) ->
     return seen[rows, first] * (1 - fraction) + seen[rows, (first + 1).clamp(max=last)] * fraction
 
 
-def project(directions: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-    """Face (M,) int64 that directions (M, 3) meet, and their coordinates s, t (M,) on it, -1 to 1."""
+def find_face(directions: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Face (M,) int64 that directions (M, 3) meet, and their coordinates s and t (M,) on it, -1 to 1."""
     axis = directions.detach().abs().argmax(dim=-1)
     major = directions.gather(-1, axis[:, None])[:, 0]
     face = 2 * axis + (major < 0)
@@ -49,8 +50,9 @@ def project(directions: Tensor) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def pad_faces(cubemap: Tensor) -> Tensor:
-    """(6, S + 2, S + 2, C): each face with the border texels of its neighbours round it; corners are the mean
-    of the three that meet.
+    """(6, S + 2, S + 2, C): each face with its neighbours' border texels round it.
+
+    Corners are the mean of the three texels that meet.
     """
     size, channels = cubemap.shape[1], cubemap.shape[-1]
     flat = cubemap.reshape(-1, channels)
@@ -60,7 +62,7 @@ def pad_faces(cubemap: Tensor) -> Tensor:
     for face in range(FACES):
         t, s = torch.meshgrid(steps, steps, indexing="ij")
         over = torch.maximum(s.abs(), t.abs()) > size
-        # A point one step over an edge folds down onto the neighbour: (S + 1, t, S) becomes (S, t, S - 1).
+        # a point one step over an edge folds down onto the neighbour: (S + 1, t, S) becomes (S, t, S - 1)
         major = torch.where(over, size - 1, size)
         point = [x.clamp(-size, size)[..., None] * axes[face, k] for k, x in enumerate((s, t, major))]
         corner = (s.abs() > size) & (t.abs() > size)
