@@ -1,5 +1,6 @@
-"""Eyelids that slide over their eyeballs: a linear blink cuts through the ball half-way, so what lies within
-is moved out of it.
+"""Eyelids that slide over their eyeballs.
+
+A linear blink cuts through the ball half-way, so what lies within is moved out of it.
 """
 
 from __future__ import annotations
@@ -98,8 +99,9 @@ class Eyelids:
 
 
 def _sphere_center(points: np.ndarray) -> np.ndarray:
-    """(3,) float32 centre of the sphere that fits (N, 3) points best: |p|^2 = 2 p c + (r^2 - |c|^2) is linear
-    in c and the rest.
+    """(3,) float32 centre of the sphere that fits (N, 3) points best.
+
+    For |p|^2 = 2 p c + (r^2 - |c|^2) is linear in c and the rest.
     """
     points = points.astype(np.float64)
     system = np.concatenate([2.0 * points, np.ones((len(points), 1))], axis=1)

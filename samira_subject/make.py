@@ -1,6 +1,4 @@
-"""The built-in subject's dataset: a VHAP export with the truth beside it, made by casting rays at a head of
-our own.
-"""
+"""The built-in subject's dataset: a VHAP export with the truth beside it, by rays cast at our own head."""
 
 from __future__ import annotations
 
@@ -8,6 +6,7 @@ import json
 import math
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -184,8 +183,8 @@ class _Maker:
         gain = 1.0 + ALBEDO_GAIN * generator_of(self._plan.seed, Purpose.ALBEDO, index).standard_normal()
         return on_white(torch.from_numpy((gain * albedo).astype(np.float32)), picture.coverage)
 
-    def _arrays(self, parameters: FrameParameters) -> dict[str, np.ndarray]:
-        """A frame as VHAP writes it."""
+    def _arrays(self, parameters: FrameParameters) -> dict[str, Any]:
+        """A frame as VHAP writes it: numpy arrays by name."""
         root, neck, jaw, *eyes = parameters.rotations.numpy()
         arrays = {
             "translation": parameters.translation.numpy(),
@@ -212,7 +211,8 @@ class _Maker:
     def _write_facts(self) -> None:
         """The template, the identity, the lists of frames, and what the dataset is."""
         save_template(self._cast.template, self._folder / "template.npz")
-        np.savez(self._folder / CANONICAL_FILE, **self._arrays(Rig.build(self._cast.template).rest()))
+        rest = self._arrays(Rig.build(self._cast.template).rest())
+        np.savez(self._folder / CANONICAL_FILE, **rest)
         frames = [_entry(index, self._studio.camera) for index in range(len(self._performance))]
         train = self._plan.train
         for name, part in {"": frames, "_train": frames[:train], "_val": [], "_test": frames[train:]}.items():
@@ -268,19 +268,23 @@ def _facts(plan: SubjectPlan, performance: Performance) -> dict[str, object]:
         "frames": len(performance),
         "frames_per_second": FRAMES_PER_SECOND,
         "plan": asdict(plan),
-        "what": "A procedural head under a procedural sky, by an independent ray caster: shadows, two bounces, GGX, bumps, and wrinkles "
-        "that come with expressions. The surface is the template's, subdivided once, with lids kept off the eyeballs. Tracks are exact.",
+        "what": "A procedural head under a procedural sky, by an independent ray caster: shadows, two "
+        "bounces, GGX, bumps, and wrinkles that come with expressions. The surface is the template's, "
+        "subdivided once, with lids kept off the eyeballs. Tracks are exact.",
         "layout": "VHAP / GaussianAvatars export; template.npz is the head model with FLAME's keys",
         "world": "metres, y up, the face looks along +z; OpenGL camera-to-world in transforms.json",
-        "colour": "image = sRGB encode(linear radiance x exposure), clipped, then composited on white with fg_masks in display space",
-        "light": "direction d sees the map's column u = 0.5 + atan2(d.x, -d.z)/(2 pi) + azimuth/360 (mod 1) and row from the top "
-        "acos(d.y)/pi, times exposure",
-        "exposure_rule": "0.8 / (0.5 x mean radiance + 0.5 x irradiance on a surface facing +z / pi), by Rec.709 luminance",
-        "albedo": f"pseudo-albedo of train frames: true diffuse colour, blurred by {ALBEDO_BLUR * plan.size:g} px, gain jittered "
-        f"{100 * ALBEDO_GAIN:g} %; sRGB encoded, on white",
+        "colour": "image = sRGB encode(linear radiance x exposure), clipped, then composited on white with "
+        "fg_masks in display space",
+        "light": "direction d sees the map's column u = 0.5 + atan2(d.x, -d.z)/(2 pi) + azimuth/360 (mod 1) "
+        "and row from the top acos(d.y)/pi, times exposure",
+        "exposure_rule": "0.8 / (0.5 x mean radiance + 0.5 x irradiance on a surface facing +z / pi), "
+        "by Rec.709 luminance",
+        "albedo": "pseudo-albedo of train frames: true diffuse colour, blurred by "
+        f"{ALBEDO_BLUR * plan.size:g} px, gain jittered {100 * ALBEDO_GAIN:g} %; sRGB encoded, on white",
         "gt/albedo": "true diffuse colour of test frames, sRGB encoded, on white",
         "gt/normal": "test frames, world space, (n+1)/2, shading normals with bumps",
-        "gt/relight/<light>": "test frames under another light; <light>.json has file, azimuth_degrees, exposure",
+        "gt/relight/<light>": "test frames under another light; "
+        "<light>.json has file, azimuth_degrees, exposure",
         "gt/capture_light.json": "the light of images/",
     }
 

@@ -28,8 +28,12 @@ from samira_subject.paint.texels import Texels
 
 
 class _Groove(NamedTuple):
-    """A wrinkle on one side: (E,) how strongly expressions open it, and the (K, 3) slopes that it adds to K
-    texels.
+    """A wrinkle on one side.
+
+    Attributes:
+        drivers: (E,) how strongly expressions open it.
+        texels: (K,) flat ids of the texels that it touches.
+        slopes: (K, 3) what it adds to theirs.
     """
 
     drivers: Tensor

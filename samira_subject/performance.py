@@ -1,9 +1,9 @@
-"""What the built-in subject does before the camera: it looks about, talks, blinks and pulls faces, exactly
-tracked.
+"""What the built-in subject does before the camera: it looks about, talks, blinks and pulls faces.
 
-Head and gaze follow sums of slow waves; the upper and the lower face go through their gestures one after the
-other, each on its own, so that most pairs of them meet somewhere. Frames to test on come at the end, go
-through all of it once more in another order, and stay within what the frames to train on have shown.
+It is exactly tracked. Head and gaze follow sums of slow waves; the upper and the lower face go through their
+gestures one after the other, each on its own, so that most pairs of them meet somewhere. Frames to test on
+come at the end, go through all of it once more in another order, and stay within what the frames to train on
+have shown.
 """
 
 from __future__ import annotations
@@ -46,9 +46,9 @@ LIDS_FOLLOW = 0.35
 EASE = 6
 """Frames over which everything rises from the first frame, which is at rest."""
 
-PERIODS = (37.0, 23.0, 53.0, 61.0, 43.0, 71.0, 29.0, 19.0)
-"""Frames that a wave takes: yaw, pitch, roll, sway along three axes, gaze sideways and down; primes, so that
-they meet in all ways."""
+TURN_PERIODS, SWAY_PERIODS, GAZE_PERIODS = (37.0, 23.0, 53.0), (61.0, 43.0, 71.0), (29.0, 19.0)
+"""Frames that a wave takes: yaw, pitch, roll; sway along three axes; gaze sideways and down. All are primes,
+so that they meet in all ways."""
 
 GESTURE_STEP = 5.0
 """Frames from a gesture's height to the next one's; each lasts twice as long."""
@@ -106,8 +106,8 @@ def perform(names: tuple[str, ...], *, train: int, test: int, seed: int) -> Perf
     generator = generator_of(seed, Purpose.PERFORMANCE)
     frames = train + test
     ease = _smooth_step(np.arange(frames) / EASE)[:, None]
-    turn = ease * _waves(generator, PERIODS[:3], frames) * (YAW, PITCH, ROLL)
-    sway = ease * _waves(generator, PERIODS[3:6], frames) * SWAY
+    turn = ease * _waves(generator, TURN_PERIODS, frames) * (YAW, PITCH, ROLL)
+    sway = ease * _waves(generator, SWAY_PERIODS, frames) * SWAY
     expression, opening = np.zeros((frames, len(names))), np.zeros(frames)
     for gestures, strength in ((UPPER, 1.0), (LOWER, 1.0), (SPEECH, 0.8)):
         for first, count in ((0, train), (train, test)):
@@ -116,7 +116,7 @@ def perform(names: tuple[str, ...], *, train: int, test: int, seed: int) -> Perf
             opening[first : first + count] += strength * jaw
     expression, opening = ease * np.clip(expression, 0.0, 1.0), ease[:, 0] * np.clip(opening, 0.0, 1.0)
     gaze = np.clip(
-        ease * _waves(generator, PERIODS[6:], frames) * 0.7 * GAZE - GAZE_KEPT * turn[:, :2], -GAZE, GAZE
+        ease * _waves(generator, GAZE_PERIODS, frames) * 0.7 * GAZE - GAZE_KEPT * turn[:, :2], -GAZE, GAZE
     )
     _move_lids(expression, names, gaze, _blinks(generator, frames))
     tracks = {
@@ -143,8 +143,9 @@ def _within(track: np.ndarray, train: int) -> np.ndarray:
 
 
 def _waves(generator: np.random.Generator, periods: tuple[float, ...], frames: int) -> np.ndarray:
-    """(frames, len(periods)) smooth tracks in -1 to 1, which come near both ends about once a period and
-    reach one of them.
+    """(frames, len(periods)) smooth tracks in -1 to 1.
+
+    They come near both ends about once a period and reach one of them.
     """
     time = np.arange(frames)[:, None]
     main, slow, fast = (generator.uniform(0.0, 2.0 * np.pi, len(periods)) for _ in range(3))
@@ -205,9 +206,7 @@ def _move_lids(expression: np.ndarray, names: tuple[str, ...], gaze: np.ndarray,
 
 
 def _axis_angle(turns: np.ndarray) -> np.ndarray:
-    """(N, 3) axis-angle of turns (N, 3) about y, then x, then z of the head itself: yaw, pitch (down),
-    roll.
-    """
+    """(N, 3) axis-angle of turns (N, 3) about the head's own y, then x, then z: yaw, pitch (down), roll."""
     return Rotation.from_euler("YXZ", turns).as_rotvec()
 
 

@@ -72,11 +72,10 @@ def _slope_term(cosine: wp.float32, alpha: wp.float32) -> wp.float32:
 
 @wp.func
 def channel_normal(surface: Surface, channel: wp.int32) -> wp.vec3:
-    """The normal whose cosine a channel's diffuse light follows: the further light travels below, the less of
-    the bumps is in it.
+    """The normal whose cosine a channel's diffuse light follows.
 
-    Shorter than 1 where the two normals differ, as light that comes out of a rough surface is the mean over
-    its slopes.
+    The further light travels below, the less of the bumps is in it. It is shorter than 1 where the two
+    normals differ, as light that comes out of a rough surface is the mean over its slopes.
     """
     return surface.normal + (surface.scatter * SCATTER[channel]) * (surface.smooth_normal - surface.normal)
 
@@ -137,9 +136,7 @@ def sample_cosine(normal: wp.vec3, u: wp.vec2) -> wp.vec3:
 
 @wp.func
 def sample_lobe(surface: Surface, u: wp.vec2) -> wp.vec3:
-    """A unit direction from the mixture of both lobes, which may point below the surface, where it counts
-    nothing.
-    """
+    """A unit direction from the mixture of both lobes; below the surface it counts nothing."""
     if u[0] >= SPECULAR_SHARE:
         half_share = 2.0 * wp.min((u[0] - SPECULAR_SHARE) / (1.0 - SPECULAR_SHARE), 1.0)
         if half_share < 1.0:

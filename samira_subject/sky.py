@@ -1,6 +1,4 @@
-"""The skies that light the built-in subject: a soft gradient from ground to zenith, and softboxes that stand
-before it.
-"""
+"""The skies that light the built-in subject: a gradient from ground to zenith, and softboxes before it."""
 
 from __future__ import annotations
 
@@ -135,8 +133,9 @@ SKIES = {
 
 
 def paint_sky(sky: Sky, *, height: int = HEIGHT) -> Tensor:
-    """(height, 2 height, 3) float32 linear radiance of a sky; its layout is that of
-    `samira_warp.light.equirect` without a turn.
+    """(height, 2 height, 3) float32 linear radiance of a sky.
+
+    Its layout is that of `samira_warp.light.equirect` without a turn.
     """
     directions = equirect_directions(height).double()
     up = directions[..., 1:2]
@@ -149,8 +148,9 @@ def paint_sky(sky: Sky, *, height: int = HEIGHT) -> Tensor:
 
 
 def exposure_of(radiance: Tensor) -> float:
-    """The exposure of a light: 0.8 / (0.5 x its mean radiance + 0.5 x irradiance on a surface that faces +z /
-    pi), by luminance.
+    """The exposure of a light: 0.8 over its brightness, by luminance.
+
+    That is 0.5 x its mean radiance + 0.5 x the irradiance on a surface that faces +z / pi.
     """
     brightness = radiance.double() @ torch.tensor(LUMINANCE, dtype=torch.float64)
     height, width = brightness.shape

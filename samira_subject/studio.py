@@ -28,20 +28,20 @@ DISTANCE = 1.0
 
 
 class Materials(Protocol):
-    """What a head's surface is made of, in its UV layout; all float32 on the CPU.
+    """What a head's surface is made of, in its UV layout; all float32 on the CPU."""
 
-    Attributes:
-        albedo: (S, S, 3) linear diffuse reflectance.
-        finish: (S, S, 3) roughness, reflectance at normal incidence, and how much the surface scatters light
-            below it.
-    """
+    @property
+    def albedo(self) -> Tensor:
+        """(S, S, 3) linear diffuse reflectance."""
 
-    albedo: Tensor
-    finish: Tensor
+    @property
+    def finish(self) -> Tensor:
+        """(S, S, 3) roughness, reflectance at normal incidence, and how much light scatters below."""
 
     def relief(self, expression: Tensor, jaw: float) -> Tensor:
-        """(S, S, 3) gradient of the bumps' height over the mean head at rest, with the wrinkles of an
-        expression (E,) and of the jaw.
+        """(S, S, 3) gradient of the bumps' height over the mean head at rest.
+
+        It has the wrinkles of an expression (E,) and of the jaw, radians.
         """
 
 
@@ -135,21 +135,20 @@ def portrait_camera(template: HeadTemplate, *, size: int) -> Camera:
 
 
 def developed(picture: Picture) -> np.ndarray:
-    """(H, W, 3) display values on white, as an 8-bit file has them: clipped before they meet the
-    background.
-    """
+    """(H, W, 3) display values on white, clipped before they meet it: as an 8-bit file has them."""
     return on_white(picture.radiance, picture.coverage)
 
 
 def on_white(linear: Tensor, coverage: Tensor) -> np.ndarray:
     """(H, W, 3) display values of linear colour (H, W, 3) under coverage (H, W)."""
-    return compose(linear.clamp(0.0, 1.0), coverage[..., None], 1.0).numpy()
+    return compose(linear.clamp(0.0, 1.0), coverage[..., None], torch.ones(())).numpy()
 
 
 @contextlib.contextmanager
 def threads(count: int) -> Iterator[None]:
-    """Let torch and BLAS use so many threads: sums that they divide among them depend on the number in their
-    last bits.
+    """Let torch and BLAS use so many threads.
+
+    Sums that they divide among them depend on the number in their last bits.
     """
     before = torch.get_num_threads()
     torch.set_num_threads(count)

@@ -1,5 +1,6 @@
-"""One level of Loop's subdivision: what rounds a template's outline before rays meet it (Loop, 1987; Warren's
-weights).
+"""One level of Loop's subdivision (Loop, 1987; Warren's weights).
+
+It rounds a template's outline before rays meet it.
 """
 
 from __future__ import annotations
@@ -67,8 +68,9 @@ class LoopSubdivision:
 
 
 def split_corners(corners: Tensor) -> Tensor:
-    """(4 F, 3, C) values at the finer faces' corners of (F, 3, C) ones, linear within each face: what UV
-    coordinates need at a seam.
+    """(4 F, 3, C) values at the finer faces' corners of (F, 3, C) ones, linear within each face.
+
+    That is what UV coordinates need at a seam.
     """
     a, b, c = corners.unbind(dim=1)
     ab, bc, ca = (a + b) / 2, (b + c) / 2, (c + a) / 2

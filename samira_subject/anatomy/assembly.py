@@ -1,6 +1,4 @@
-"""All parts of the head in one mesh, in millimetres, with what painters and sculptors need to know of each
-vertex.
-"""
+"""All parts of the head in one mesh, with what painters and sculptors need to know of each vertex."""
 
 from __future__ import annotations
 
@@ -62,8 +60,9 @@ class _Vertices:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Anatomy(_Vertices):
-    """The mean head in millimetres; origin midway between the eyes, x to the subject's left, y up, z out of
-    the face.
+    """The mean head in millimetres.
+
+    The origin lies midway between the eyes, x to the subject's left, y up, z out of the face.
 
     Attributes:
         vt: (T, 2) float64 places in the atlas.

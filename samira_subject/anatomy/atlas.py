@@ -1,6 +1,4 @@
-"""Where each part lies in the one square of texture: the skin unrolled on top, everything else in a band
-below.
-"""
+"""Where each part lies in the square of texture: the skin unrolled on top, the rest in a band below."""
 
 from __future__ import annotations
 
@@ -45,8 +43,9 @@ def part_chart(flat: np.ndarray, faces: np.ndarray, name: str) -> Chart:
 
 
 def skin_chart(half: HalfSkin) -> Chart:
-    """The skin, cut open down the back of the head, and the lining of the mouth as a disc: the left half's
-    faces, then the right's.
+    """The skin, cut open down the back of the head, and the lining of the mouth as a disc.
+
+    The left half's faces come first, then the right's.
     """
     left = _unrolled(half)
     right = left * (-1.0, 1.0) + (1.0, 0.0)
@@ -78,9 +77,7 @@ def _split_pole(vt: np.ndarray, faces: np.ndarray, poles: set[int]) -> tuple[np.
 
 
 def _unrolled(half: HalfSkin) -> np.ndarray:
-    """(N, 2) places of the left half's skin; rings behind the lids shrink into the opening that the eye
-    leaves.
-    """
+    """(N, 2) places of the left half's skin; rings behind the lids shrink into the eye's opening."""
     azimuth, descent = half.chart.T
     u = 0.5 + 0.495 * (azimuth + FRONT_SHARE * np.sin(azimuth)) / np.pi
     v = BAND + 0.005 + (0.99 - BAND) * (1.0 - descent / lowest_descent())
@@ -93,9 +90,7 @@ def _unrolled(half: HalfSkin) -> np.ndarray:
 
 
 def _lining(half: HalfSkin) -> np.ndarray:
-    """(N, 2) places of the left half's vertices in the mouth's disc: the lips outside, the throat in the
-    middle.
-    """
+    """(N, 2) places of the left half's vertices in the mouth's disc, whose middle is the throat."""
     u, v, half_width, half_height = PLACES["mouth"]
     radius = 1.0 - half.cavity
     return np.array([u, v]) + radius[:, None] * np.column_stack(

@@ -1,5 +1,6 @@
-"""Grooves, ridges and dents too fine for landmarks: where the nostrils open, where the nose's wings and the
-lips' folds begin.
+"""Grooves, ridges and dents too fine for landmarks.
+
+Where the nostrils open, where the nose's wings and the lips' folds begin.
 """
 
 from __future__ import annotations

@@ -120,9 +120,7 @@ WHOLE: dict[str, Shape] = {
 
 @cache
 def expressions() -> dict[str, np.ndarray]:
-    """(V, 3) millimetres of each expression at full strength, by its name in the vocabulary that face
-    trackers share.
-    """
+    """(V, 3) millimetres of each expression at full strength, by the name that face trackers share."""
     anatomy = mean_anatomy()
     shapes = {name: shape(anatomy) for name, shape in WHOLE.items()}
     for name, shape in SIDED.items():

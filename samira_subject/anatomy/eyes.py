@@ -42,8 +42,9 @@ def lid_arch(turn: np.ndarray) -> np.ndarray:
 
 
 def lid_edge(turn: np.ndarray) -> np.ndarray:
-    """(N, 2) the almond in front view from the eyeball's centre; angles start at the outer canthus and run
-    over the upper lid.
+    """(N, 2) the almond in front view from the eyeball's centre.
+
+    Angles start at the outer canthus and run over the upper lid.
     """
     across = np.cos(turn)
     line = INSIDE + (OUTSIDE - INSIDE) * (0.5 * (across + 1.0))[:, None]
@@ -54,8 +55,9 @@ def lid_edge(turn: np.ndarray) -> np.ndarray:
 
 
 def on_globe(flat: np.ndarray, radius: float) -> np.ndarray:
-    """(N, 3) points in front of the eyeball at front-view places from its centre; beside the globe they stay
-    at the canthi's depth.
+    """(N, 3) points in front of the eyeball at front-view places from its centre.
+
+    Beside the globe they stay at the canthi's depth.
     """
     depth = np.sqrt(np.maximum(radius**2 - (flat**2).sum(axis=1), 0.0))
     beside = 3.2 - 1.9 * np.clip(flat[:, 0] / 14.0, -1.0, 1.0)
@@ -63,8 +65,9 @@ def on_globe(flat: np.ndarray, radius: float) -> np.ndarray:
 
 
 def lid_rings() -> tuple[list[Ring], list[Ring]]:
-    """Rings from behind the lid to its edge, and from there over the skin to the orbit's rim; angles run
-    counter-clockwise in front.
+    """Rings from behind the lid to its edge, and from there over the skin to the orbit's rim.
+
+    Angles run counter-clockwise in front.
     """
     turn = 2.0 * np.pi * np.arange(LID_VERTICES) / LID_VERTICES
     edge = lid_edge(turn)
@@ -112,9 +115,7 @@ def _skin_ring(turn: np.ndarray, edge: np.ndarray, rim: np.ndarray, distance: fl
 
 
 def _folds(up: np.ndarray, distance: float) -> np.ndarray:
-    """(N,) millimetres forward: the upper lid's crease with the fold that hangs over it, and the lower lid's
-    bag.
-    """
+    """(N,) millimetres forward: the upper lid's crease with the fold over it, and the lower lid's bag."""
     above, below = np.clip(up, 0.0, 1.0) ** 0.6, np.clip(-up, 0.0, 1.0) ** 0.8
     crease = -1.7 * np.exp(-(((distance - CREASE) / 1.3) ** 2)) + 1.3 * np.exp(
         -(((distance - 9.0) / 2.5) ** 2)

@@ -1,5 +1,4 @@
-"""Twenty ways in which heads differ, as linear displacements of the mean head, in millimetres for one
-standard deviation.
+"""Twenty ways in which heads differ: displacements of the mean head, millimetres a standard deviation.
 
 They bend the space that the head lies in, so that ears, teeth and eyes go along; eyeballs stay round.
 """

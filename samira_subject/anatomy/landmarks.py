@@ -138,9 +138,7 @@ def face_surface(azimuth: np.ndarray, descent: np.ndarray) -> np.ndarray:
 
 
 def seen_at(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Azimuths and descents of the points of `face_surface` that a viewer far in front sees at (N,)
-    places.
-    """
+    """Azimuths and descents of `face_surface`'s points that a viewer far in front sees at (N,) places."""
     x, y = np.asarray(x, np.float64), np.asarray(y, np.float64)
     azimuth, descent = locate(np.column_stack([x, y, np.full_like(x, 12.0)]))
     for _ in range(40):

@@ -1,6 +1,4 @@
-"""How the skin's vertices are connected: half of the head unrolled, its openings ringed, the rest
-triangulated.
-"""
+"""How the skin's vertices are connected: half a head unrolled, its openings ringed, the rest triangulated."""
 
 from __future__ import annotations
 

@@ -1,5 +1,6 @@
-"""Lips and the mouth behind them: the subject's left half, from the midline below round the corner to the
-midline above.
+"""Lips and the mouth behind them: the subject's left half.
+
+It goes from the midline below round the corner to the midline above.
 """
 
 from __future__ import annotations

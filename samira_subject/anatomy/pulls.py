@@ -20,8 +20,9 @@ def moves_with_skin(a: Anatomy) -> np.ndarray:
 
 
 def pull(a: Anatomy, centre: Vector, reach: float, direction: Vector) -> np.ndarray:
-    """(V, 3) displacement of the skin about a point, faded to a third at ``reach`` millimetres; lids yield
-    less the nearer their edge.
+    """(V, 3) displacement of the skin about a point, faded to a third at ``reach`` millimetres.
+
+    Lids yield less the nearer their edge.
     """
     squared = ((a.points - centre) ** 2).sum(axis=1)
     share = np.exp(-squared / reach**2) * moves_with_skin(a) * (1.0 - fade(a.lid, 0.0, 9.0))
@@ -34,8 +35,9 @@ def left_share(a: Anatomy) -> np.ndarray:
 
 
 def upper_share(a: Anatomy) -> np.ndarray:
-    """(V,) 1 above an opening, 0 below, a half at its corners: steep there, as lips part along all of their
-    length.
+    """(V,) 1 above an opening, 0 below, a half at its corners.
+
+    It is steep there, as lips part along all of their length.
     """
     return np.clip(0.5 + 0.5 * np.sign(a.turn) * np.abs(np.sin(a.turn)) ** 0.6, 0.0, 1.0)
 
@@ -51,11 +53,10 @@ def around_mouth(a: Anatomy, reach: float) -> np.ndarray:
 
 
 def jaw_share(a: Anatomy) -> np.ndarray:
-    """(V,) how much each vertex goes with the jaw: 1 on the lower lip, chin, lower teeth and tongue, 0 on the
-    upper lip and the skull.
+    """(V,) how much each vertex goes with the jaw.
 
-    What divides them is the line from the jaw's axis to where the lips meet: sharp between the lips, wide
-    over the cheeks.
+    It is 1 on the lower lip, chin, lower teeth and tongue, 0 on the upper lip and the skull. What divides
+    them is the line from the jaw's axis to where the lips meet: sharp between the lips, wide over the cheeks.
     """
     x, y, z = a.points.T
     line = LINE + (LINE - HINGE[1]) * (z - 27.0) / (27.0 - HINGE[2])

@@ -52,9 +52,7 @@ def smooth_maximum(a: np.ndarray, b: np.ndarray, softness: float) -> np.ndarray:
     return 0.5 * (a + b + np.sqrt((a - b) ** 2 + softness**2))
 
 
-def fade(x: np.ndarray, start: float, end: float) -> np.ndarray:
-    """1 up to ``start``, 0 from ``end`` on, smooth between; the other way round when ``start`` is the
-    larger.
-    """
+def fade(x: np.ndarray | float, start: np.ndarray | float, end: np.ndarray | float) -> np.ndarray:
+    """1 up to ``start``, 0 from ``end`` on, smooth between; the other way round where ``start`` is larger."""
     t = np.clip((np.asarray(x, np.float64) - start) / (end - start), 0.0, 1.0)
     return 1.0 - t * t * (3.0 - 2.0 * t)

@@ -15,9 +15,7 @@ from scipy.interpolate import CubicSpline
 
 
 class Section(NamedTuple):
-    """One closed curve about the head: where it crosses the front, the side and the back, and how square it
-    is.
-    """
+    """One closed curve about the head: where it crosses front, side and back, and how square it is."""
 
     front_y: float
     front_z: float

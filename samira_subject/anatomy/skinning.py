@@ -18,8 +18,9 @@ SUPPORT = 100
 
 
 def skinning_weights(a: Anatomy) -> np.ndarray:
-    """(V, 5) shares of the joints, which sum to 1: the neck bends over its length, what is above it goes with
-    the head.
+    """(V, 5) shares of the joints, which sum to 1.
+
+    The neck bends over its length, and what is above it goes with the head.
     """
     weights = np.zeros((len(a.points), 5))
     # the neck's top and foot are lower in front than behind
@@ -36,11 +37,10 @@ def skinning_weights(a: Anatomy) -> np.ndarray:
 
 
 def joint_regressor(a: Anatomy) -> np.ndarray:
-    """(5, V) weights that give `JOINTS` from the mean head, each the smallest on the vertices about its joint
-    that do, summing to 1.
+    """(5, V) weights, summing to 1, that give `JOINTS` from the mean head.
 
-    Eyes are regressed from their eyeballs, so that they stay in the middle of them whatever the identity;
-    their two rows mirror.
+    They are the smallest on the vertices about each joint that do. Eyes are regressed from their eyeballs, so
+    that they stay in the middle of them whatever the identity; their two rows mirror.
     """
     regressor = np.zeros((5, len(a.points)))
     skin = a.is_part("skin")

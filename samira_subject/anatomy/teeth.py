@@ -15,11 +15,11 @@ REACH = 25.0
 
 
 class Part(NamedTuple):
-    """A part of its own: (N, 3) points, (T, 3) triangles, its (N, 2) chart in [-1, 1]^2 and (N, 2) paint
-    coordinates.
+    """A part of its own: points, triangles, and what its paint goes by.
 
-    The first paint coordinate counts teeth from the midline; the second is 0 at the gum's line, 1 at the
-    edge, below 0 on the gum.
+    That is (N, 3) points, (T, 3) triangles, its (N, 2) chart in [-1, 1]^2 and (N, 2) paint coordinates. The
+    first paint coordinate counts teeth from the midline; the second is 0 at the gum's line, 1 at the edge,
+    below 0 on the gum.
     """
 
     points: np.ndarray

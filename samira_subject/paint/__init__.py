@@ -1,3 +1,1 @@
-"""The surface of the built-in head: colours, finish and bumps, painted in its atlas by where on the head a
-texel lies.
-"""
+"""The built-in head's surface: colours, finish and bumps, painted by where on the head a texel lies."""

@@ -128,9 +128,7 @@ def resting_heights(t: Texels, *, hair: np.ndarray, brows: np.ndarray, seed: int
 
 
 def wrinkle_heights(t: Texels, wrinkle: Wrinkle, *, left: bool) -> np.ndarray:
-    """(N,) millimetres of a wrinkle's grooves on one side at full strength: sunk along the lines, raised
-    beside them.
-    """
+    """(N,) millimetres of a wrinkle's grooves on one side at full strength: sunk, and raised beside."""
     side = t.points[:, 0] if left else -t.points[:, 0]
     here = t.is_part("skin") & (t.points[:, 2] > -32.0) & (side > -12.0)
     flat = np.column_stack([side, t.points[:, 1]])[here]
@@ -148,8 +146,9 @@ def wrinkle_heights(t: Texels, wrinkle: Wrinkle, *, left: bool) -> np.ndarray:
 
 
 def _distance(flat: np.ndarray, line: Line) -> tuple[np.ndarray, np.ndarray]:
-    """(N,) millimetres to a line, and how much of its depth a groove has there: it thins out at its ends off
-    the midline.
+    """(N,) millimetres to a line, and how much of its depth a groove has there.
+
+    It thins out at its ends off the midline.
     """
     corners = np.array(line)
     begins_in_the_middle = corners[0, 0] == 0.0

@@ -18,8 +18,9 @@ GRAIN = 4096
 
 
 def value_noise(points: np.ndarray, *, seed: int, field: str) -> np.ndarray:
-    """(N,) smooth noise in -1..1 at (N, 3) places; it varies over lengths of about 1. Each person's every
-    ``field`` is its own.
+    """(N,) smooth noise in -1..1 at (N, 3) places, which varies over lengths of about 1.
+
+    Each person's every ``field`` is its own.
     """
     return _octaves(points, 1, seed, field)
 

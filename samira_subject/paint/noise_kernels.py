@@ -17,8 +17,9 @@ _SECOND = wp.constant(wp.uint32(0xC2B2AE35))
 
 @wp.func
 def _number(x: wp.int32, y: wp.int32, z: wp.int32, seed: wp.uint32) -> wp.float32:
-    """A number in -1..1 that belongs to a cell: a hash by multiplication, finished as MurmurHash3 does
-    (Appleby, 2008).
+    """A number in -1..1 that belongs to a cell.
+
+    A hash by multiplication, finished as MurmurHash3 does (Appleby, 2008).
     """
     value = (wp.uint32(x) * _ACROSS) ^ (wp.uint32(y) * _UP) ^ (wp.uint32(z) * _AHEAD)
     value = value ^ (seed * _SEED)

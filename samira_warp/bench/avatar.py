@@ -11,7 +11,7 @@ import torch
 
 from samira_warp.avatar import Avatar
 from samira_warp.bench.subject import make_avatar, make_camera, make_parameters
-from samira_warp.bench.timing import Stages, hardware, print_table, repeat
+from samira_warp.bench.timing import Stopwatch, hardware, print_table, repeat
 from samira_warp.geometry.camera import Camera
 from samira_warp.head import FrameParameters
 from samira_warp.light import Environment
@@ -49,16 +49,16 @@ SCENARIOS = (
 
 @torch.no_grad()
 def measure(device: torch.device, *, size: int) -> list[dict[str, object]]:
-    """Median milliseconds of a frame of the cpu preset's avatar (20,000 Gaussians), a row a scenario.
+    """Median milliseconds of a frame of the cpu preset's avatar, a row for every scenario.
 
-    What is cached takes 0. The total is of whole frames, from their parameters on.
+    It has 20,000 Gaussians; what is cached takes 0. The total is of whole frames, from their parameters on.
     """
     avatar, camera = make_avatar("cpu", device=device), make_camera(size).to(device)
     rows = []
     for scenario in SCENARIOS:
-        stages = Stages(device)
-        _frames(scenario, avatar, camera, stages)
-        times = stages.medians()
+        stopwatch = Stopwatch(device)
+        _frames(scenario, avatar, camera, stopwatch)
+        times = stopwatch.medians()
         row = {
             "size": size,
             "gaussians": len(avatar.gaussians),
@@ -75,7 +75,7 @@ def measure(device: torch.device, *, size: int) -> list[dict[str, object]]:
     return rows
 
 
-def _frames(scenario: Scenario, avatar: Avatar, camera: Camera, stages: Stages) -> None:
+def _frames(scenario: Scenario, avatar: Avatar, camera: Camera, stopwatch: Stopwatch) -> None:
     """Render frames, timing the stages that the scenario does not take from the first frame."""
     device = camera.world_to_camera.device
     frames = itertools.count()
@@ -91,7 +91,7 @@ def _frames(scenario: Scenario, avatar: Avatar, camera: Camera, stages: Stages) 
             _turned(camera, number),
             _dimmed(learned, number),
         )
-        with stages.stage("total"):
+        with stopwatch.stage("total"):
             render(parameters, view, environment, exposure=1.0 + 0.01 * number)
 
     def render(
@@ -99,15 +99,15 @@ def _frames(scenario: Scenario, avatar: Avatar, camera: Camera, stages: Stages) 
     ) -> None:
         nonlocal light, motion, gbuffer
         if scenario.light:
-            with stages.stage("light"):
+            with stopwatch.stage("light"):
                 light = environment.filtered()
         if scenario.motion:
-            with stages.stage("motion"):
+            with stopwatch.stage("motion"):
                 motion = avatar.move(parameters)
         if scenario.raster:
-            with stages.stage("raster"):
+            with stopwatch.stage("raster"):
                 gbuffer = avatar.rasterize(motion, view)
-        with stages.stage("shading"):
+        with stopwatch.stage("shading"):
             shown = view if scenario.raster else camera
             avatar.shade(motion, gbuffer, shown, light.exposed(exposure))
 

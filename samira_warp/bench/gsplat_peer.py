@@ -1,6 +1,4 @@
-"""gsplat, where it is installed, on the rasteriser's scene: stage against stage, so that like is compared
-with like.
-"""
+"""gsplat, where it is installed, on the rasteriser's scene, stage against stage: like with like."""
 
 from __future__ import annotations
 
@@ -36,8 +34,9 @@ class GsplatTimes(NamedTuple):
 
 
 def gsplat_times(scene: Scene, channels: int) -> GsplatTimes | None:
-    """Time gsplat on a scene on a GPU; None where gsplat is absent, or fails (its first call builds it, with
-    nvcc): stderr says why.
+    """Time gsplat on a scene on a GPU.
+
+    None where gsplat is absent, or fails (its first call builds it, with nvcc): stderr says why.
     """
     try:
         gsplat = _gsplat()
@@ -57,16 +56,17 @@ def _measure(gsplat: ModuleType, scene: Scene, channels: int) -> GsplatTimes:
     intrinsics = torch.tensor(
         [[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]], device=device
     )
-    gaussians = (scene.means, scene.quaternions, scene.scales, scene.opacities, scene.features(channels))
+    gaussians = scene.gaussians(channels)
     view = (camera.world_to_camera[None], intrinsics[None], camera.width, camera.height)
 
     @torch.no_grad()
     def whole() -> dict[str, Tensor]:
-        return gsplat.rasterization(*gaussians, *view, packed=False)[2]
+        _, _, found = gsplat.rasterization(*gaussians, *view, packed=False)
+        return found
 
     # one camera: everything per Gaussian is (1, N, ...)
     lists = whole()
-    values = (lists["means2d"], lists["conics"], gaussians[4][None], lists["opacities"])
+    values = (lists["means2d"], lists["conics"], gaussians.features[None], lists["opacities"])
     leaves = [value.contiguous().clone().requires_grad_() for value in values]
     tiles = (lists["tile_size"], lists["isect_offsets"], lists["flatten_ids"])
 
@@ -74,11 +74,11 @@ def _measure(gsplat: ModuleType, scene: Scene, channels: int) -> GsplatTimes:
         return gsplat.rasterize_to_pixels(*leaves, camera.width, camera.height, *tiles)
 
     image, alpha = blend()
-    by_features, by_transmittance = scene.image_gradients(channels)
-    gradients = (by_features[None], -by_transmittance[None, ..., None])
+    grad_features, grad_transmittance = scene.image_gradients(channels)
+    grad_image = (grad_features[None], -grad_transmittance[None, ..., None])
     forward = least_ms(blend, device, repeats=REPEATS)
     backward = least_ms(
-        lambda: torch.autograd.grad((image, alpha), leaves, gradients, retain_graph=True),
+        lambda: torch.autograd.grad((image, alpha), leaves, grad_image, retain_graph=True),
         device,
         repeats=REPEATS,
     )

@@ -60,7 +60,7 @@ def main(device: str, json: bool, hdri: Path | None = None) -> None:
     }
     table = light_table(hdri, place) if hdri else []
     if json:
-        print(json_format.dumps({**row, "monte_carlo": table}))
+        print(json_format.dumps({**row, "monte_carlo": [errors._asdict() for errors in table]}))
         return
     for name, value in row.items():
         print(f"{name:26} {value:.3g}" if isinstance(value, float) else f"{name:26} {value}")
@@ -81,8 +81,10 @@ def _brute_force_error(device: torch.device) -> float:
     worst = 0.0
     for base in (one_hot, torch.rand(6, 32, 32, 1, generator=generator, dtype=torch.float64)):
         single = base.float().to(device)
-        exact = (reference.irradiance(base), *reference.prefilter(base, ladder=BRUTE_FORCE_LADDER)[1:])
-        ours = (irradiance(single), *prefilter(single, ladder=BRUTE_FORCE_LADDER)[1:])
+        _, *exact = reference.prefilter(base, ladder=BRUTE_FORCE_LADDER)
+        _, *ours = prefilter(single, ladder=BRUTE_FORCE_LADDER)
+        exact.append(reference.irradiance(base))
+        ours.append(irradiance(single))
         worst = max(
             worst, *(((a.cpu() - b).abs().max() / b.max()).item() for a, b in zip(ours, exact, strict=True))
         )
@@ -90,10 +92,7 @@ def _brute_force_error(device: torch.device) -> float:
 
 
 def _environment_error(device: torch.device) -> float:
-    """Against sums over all texels of the base, by the peak of each mip.
-
-    The base is a random map with one bright texel.
-    """
+    """Of a random map with one bright texel, against sums over all its texels, by the peak of each mip."""
     generator = torch.Generator().manual_seed(0)
     size = ENVIRONMENT_SIZE
     base = torch.rand(6, size, size, 1, generator=generator)
@@ -107,7 +106,7 @@ def _environment_error(device: torch.device) -> float:
         *((ROUGHNESS_STEP * k, mip) for k, mip in enumerate(light.specular) if k),
     ]:
         found = mip.cpu().double().view(-1)
-        # The brightest texel, where the lobe of the bright one peaks, and others at random.
+        # the brightest texel, where the lobe of the bright one peaks, and others at random
         chosen = torch.cat(
             [found.argmax()[None], torch.randint(len(found), (CHECKED_TEXELS - 1,), generator=generator)]
         )
@@ -120,10 +119,10 @@ def _environment_error(device: torch.device) -> float:
 
 def _step_ms(device: torch.device) -> float:
     light = LearnableLight(torch.ones(3)).to(device)
-    upstream = [torch.ones_like(mip) for mip in _maps(light())]
+    grad_maps = [torch.ones_like(mip) for mip in _maps(light())]
 
     def step() -> None:
-        torch.autograd.grad(_maps(light()), list(light.parameters()), upstream)
+        torch.autograd.grad(_maps(light()), list(light.parameters()), grad_maps)
 
     return least_ms(step, device, repeats=11)
 
@@ -138,9 +137,9 @@ def _shade_ms(device: torch.device) -> dict[str, float]:
     view = torch.nn.functional.normalize(normal + 0.5 * (random(3) * 2 - 1), dim=-1).to(device)
     channels = {name: random(channel.width) for name, channel in CHANNELS.items()}
     surface = Surface(**{**channels, "normal": normal}).map(lambda values: values.to(device).requires_grad_())
-    light = LearnableLight(torch.ones(3)).to(device)()
-    maps = [mip.detach().requires_grad_() for mip in _maps(light)]
-    light = FilteredLight(maps[0], tuple(maps[1:]))
+    learned = LearnableLight(torch.ones(3)).to(device)()
+    irradiance_map, *mips = maps = [mip.detach().requires_grad_() for mip in _maps(learned)]
+    light = FilteredLight(irradiance_map, tuple(mips))
     times = {}
     for name, covered in (("shade", 1.0), ("shade_quarter", 0.25)):
         alpha = (

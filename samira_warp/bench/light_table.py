@@ -6,7 +6,7 @@ Spheres and a head, against Monte Carlo of the same split-sum terms.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -43,13 +43,28 @@ class Points(NamedTuple):
     view: Tensor
 
 
-def light_table(folder: Path, device: torch.device) -> list[dict[str, Any]]:
-    """Root mean square errors over the mean of the truth, all in linear radiance.
+class Errors(NamedTuple):
+    """How far a shaded object is from the truth, all in linear radiance.
 
-    Returns:
-        One row per map in ``folder`` and object, with the fields ``map``; ``object``; ``irradiance``,
-        ``specular_light`` and ``color``, the errors of L_d, L_s and C_fg; and ``noise``, the standard error
-        of the true C_fg itself.
+    Attributes:
+        map: Name of the light.
+        object: Name of what it lights.
+        irradiance: Root mean square error of L_d over its mean.
+        specular_light: Likewise of L_s.
+        color: Likewise of C_fg.
+        noise: Standard error of the true C_fg over its mean.
+    """
+
+    map: str
+    object: str
+    irradiance: float
+    specular_light: float
+    color: float
+    noise: float
+
+
+def light_table(folder: Path, device: torch.device) -> list[Errors]:
+    """One row per map in ``folder`` and object.
 
     Raises:
         UserError: The folder holds no maps, or one cannot be read or is a cube cross.
@@ -67,18 +82,16 @@ def light_table(folder: Path, device: torch.device) -> list[dict[str, Any]]:
         for name, points in objects.items():
             surface = points.surface.map(lambda values: values.to(device))
             shaded = shade(surface, points.view.to(device), light)
-            found = (
-                value.cpu().double().numpy()
-                for value in (shaded.irradiance, shaded.specular_light, shaded.color)
-            )
             truth, noise = true_light(points, panorama, np.random.default_rng(0))
-            errors = {
-                term: _relative(mine - exact, exact)
-                for term, mine, exact in zip(
-                    ("irradiance", "specular_light", "color"), found, truth, strict=True
+            irradiance, specular_light, color = (
+                _relative(found.cpu().double().numpy() - exact, exact)
+                for found, exact in zip(
+                    (shaded.irradiance, shaded.specular_light, shaded.color), truth, strict=True
                 )
-            }
-            rows.append({"map": path.stem, "object": name, **errors, "noise": _relative(noise, truth[-1])})
+            )
+            *_, true_color = truth
+            of_noise = _relative(noise, true_color)
+            rows.append(Errors(path.stem, name, irradiance, specular_light, color, of_noise))
     return rows
 
 
@@ -149,26 +162,23 @@ def head() -> Points:
     return Points(surface, view.flatten(0, 1)[chosen])
 
 
-def print_light_table(rows: list[dict[str, Any]]) -> None:
-    """One line per map, in per cent.
-
-    The error of L_d and, per object, of L_s; then of C_fg on the head, and what of that is noise.
-    """
-    by_map: dict[str, dict[str, dict[str, Any]]] = {}
+def print_light_table(rows: list[Errors]) -> None:
+    """One line per map: per cent of error of L_d, of L_s by object, of C_fg on the head, and its noise."""
+    by_map: dict[str, dict[str, Errors]] = {}
     for row in rows:
-        by_map.setdefault(str(row["map"]), {})[str(row["object"])] = row
+        by_map.setdefault(row.map, {})[row.object] = row
     width = max(map(len, by_map))
     spheres = [name for name in next(iter(by_map.values())) if name != "head"]
     print(
-        "\nper cent of the mean, root mean square, against Monte Carlo: L_d and C_fg on the head, "
-        "L_s on spheres by roughness"
+        "\nper cent of the mean, root mean square, against Monte Carlo: "
+        "L_d and C_fg on the head, L_s on spheres by roughness"
     )
     titles = ["L_d", *(name.removeprefix("sphere ") for name in spheres), "L_s head", "C_fg head", "noise"]
     print(" ".join(["map".ljust(width), *(title.rjust(9) for title in titles)]))
     for name, found in by_map.items():
         on_head = found["head"]
-        values = [on_head["irradiance"], *(found[sphere]["specular_light"] for sphere in spheres)]
-        values += [on_head["specular_light"], on_head["color"], on_head["noise"]]
+        values = [on_head.irradiance, *(found[sphere].specular_light for sphere in spheres)]
+        values += [on_head.specular_light, on_head.color, on_head.noise]
         print(" ".join([name.ljust(width), *(f"{100 * value:9.2f}" for value in values)]))
 
 

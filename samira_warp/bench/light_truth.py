@@ -1,13 +1,13 @@
-"""What light the split-sum terms should see, by Monte Carlo straight from the panorama, in float64 and with a
-standard error.
+"""What light the split-sum terms should see: Monte Carlo in float64, with a standard error.
 
-Nothing here knows of cubemaps, mips or tables. Each integral is sampled by its lobe and by the light's
-brightness together (the balance heuristic of Veach, 1997), so that neither a narrow lobe nor a small sun is
-missed.
+It reads the panorama itself; nothing here knows of cubemaps, mips or tables. Each integral is sampled by its
+lobe and by the light's brightness together (the balance heuristic of Veach, 1997), so that neither a narrow
+lobe nor a small sun is missed.
 """
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -40,9 +40,7 @@ class Panorama:
     pixels: np.ndarray
 
     def radiance(self, directions: np.ndarray) -> np.ndarray:
-        """(..., 3) of unit directions (..., 3): straight ahead (-z) lies the centre, at a quarter to the
-        right +x.
-        """
+        """(..., 3) of unit directions (..., 3): ahead (-z) lies the centre, at a quarter to the right +x."""
         column, row = (place - 0.5 for place in self._place(directions))
         i, j = np.floor(column).astype(int), np.floor(row).astype(int)
         x, y = (column - i)[..., None], (row - j)[..., None]
@@ -89,10 +87,12 @@ class Panorama:
         return (edges[:-1] - edges[1:]) * (2 * np.pi / width)
 
     def _chances(self) -> np.ndarray:
-        # Interpolation lights up the neighbours of a bright pixel: they share its chance.
+        # interpolation lights up the neighbours of a bright pixel: they share its chance
         height, width = self.pixels.shape[:2]
         rows, columns = np.meshgrid(np.arange(height), np.arange(width), indexing="ij")
-        power = sum(self._pixel(rows + j, columns + i) for j in (-1, 0, 1) for i in (-1, 0, 1)).mean(axis=-1)
+        power = np.zeros((height, width))
+        for j, i in itertools.product((-1, 0, 1), repeat=2):
+            power += self._pixel(rows + j, columns + i).mean(axis=-1)
         chances = (power + FLOOR * power.mean() + np.finfo(float).tiny) * self._solid_angles()[:, None]
         return chances / chances.sum()
 
@@ -105,10 +105,10 @@ def seen_light(
     samples: int,
     generator: np.random.Generator,
 ) -> Estimate:
-    """E_s about ``directions`` (P, 3) at ``roughness`` (P,): the mean radiance, weighted by D_GGX(n . h)
-    max(n . l, 0) with v = n.
+    """E_s about ``directions`` (P, 3) at ``roughness`` (P,).
 
-    At roughness 1 that is the cosine: E_d.
+    It is the mean radiance, weighted by D_GGX(n . h) max(n . l, 0) with v = n. At roughness 1 that is the
+    cosine: E_d.
     """
     alpha = (roughness**2)[:, None]
 
@@ -123,8 +123,8 @@ def seen_light(
         value = (
             panorama.radiance(light) * (density * np.maximum(cosine, 0) / _lobe_integral(alpha))[..., None]
         )
-        # A half vector drawn by D cos(theta_h) turns the light by twice its angle, over four times the solid
-        # angle.
+        # a half vector drawn by D cos(theta_h) turns the light by twice its angle, over four times the solid
+        # angle
         return value / (samples * (density / 4 + panorama.density(light)))[..., None]
 
     by_lobe = terms(_mirror_lobe(directions, alpha, samples, generator))
@@ -136,8 +136,9 @@ def seen_light(
 def brdf_terms(
     roughness: np.ndarray, cosine: np.ndarray, *, samples: int, generator: np.random.Generator
 ) -> Estimate:
-    """(P, 2) B_x and B_y of Eq. pbr_color at ``roughness`` and ``cosine`` = n . v, (P,), over half vectors
-    drawn by D cos(theta_h).
+    """(P, 2) B_x and B_y of Eq. pbr_color at ``roughness`` and ``cosine`` = n . v, (P,).
+
+    Half vectors are drawn by D cos(theta_h).
     """
     alpha, cosine = (roughness**2)[:, None], cosine[:, None]
     half = _half_vectors(alpha, samples, generator)
@@ -146,7 +147,7 @@ def brdf_terms(
     lit = (light > 0) & (view_half > 0)
     light = np.where(lit, light, 1.0)
     smith = [np.sqrt(1 + alpha**2 * (1 / x**2 - 1)) for x in (cosine, light)]
-    # D G (v . h) / (n . v n . h) over the chance D n . h, with G of Heitz (2014), height-correlated.
+    # D G (v . h) / (n . v n . h) over the chance D n . h, with G of Heitz (2014), height-correlated
     reflected = np.where(lit, 2 / (smith[0] + smith[1]) * view_half / (cosine * half[..., 2]), 0.0)
     fresnel = (1 - np.clip(view_half, 0, 1)) ** 5
     values = np.stack([reflected * (1 - fresnel), reflected * fresnel], axis=-1)

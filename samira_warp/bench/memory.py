@@ -13,11 +13,10 @@ from torch.utils._pytree import tree_leaves
 
 
 def peak_bytes(function: Callable[[], object], device: torch.device) -> int:
-    """Most bytes at once of the tensors that ``function`` makes, above what was alive before; its result
-    counts while it runs.
+    """Most bytes at once of the tensors that ``function`` makes, above what was alive before.
 
-    On a GPU the allocator's own account; on a CPU every tensor's storage, from the operation that makes it
-    until its last owner is gone.
+    Its result counts while it runs. On a GPU the allocator's own account; on a CPU every tensor's storage,
+    from the operation that makes it until its last owner is gone.
     """
     if device.type == "cuda":
         torch.cuda.synchronize(device)

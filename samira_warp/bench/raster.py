@@ -12,17 +12,17 @@ import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import torch
 from torch import Tensor
 
 from samira_warp.bench.gsplat_peer import GsplatTimes, gsplat_times
 from samira_warp.bench.memory import peak_bytes
-from samira_warp.bench.scene import Scene, make_scene
+from samira_warp.bench.scene import Gaussians, Scene, make_scene
 from samira_warp.bench.timing import hardware, least_ms
 from samira_warp.kernels.plain import blending as blending_plain
-from samira_warp.kernels.raster.blending import blend
+from samira_warp.kernels.raster.blending import Blended, blend
 from samira_warp.kernels.raster.projection import Projection, project
 from samira_warp.kernels.raster.rasterizer import rasterize
 from samira_warp.kernels.raster.tiles import TILE, TileBins, bin_tiles
@@ -30,6 +30,9 @@ from samira_warp.surface import SURFACE_WIDTH
 
 GBUFFER_CHANNELS = SURFACE_WIDTH + 1
 """Those of the surface, and depth."""
+
+Inputs = TypeVar("Inputs", Gaussians, "Splats")
+"""What the whole operator takes, or blending alone."""
 
 REPEATS = 5
 DISPATCH_REPEATS = 100
@@ -75,7 +78,7 @@ class Row:
         peak_bytes: Most bytes of tensors that the whole operator, with its backward pass, has at once above
             its inputs; measured.
         dispatch_forward_ms: The whole operator on one Gaussian in one tile, where its kernels take
-            microseconds: the host's overhead.
+            microseconds: the host's overhead, on a GPU with the wait for the number of intersections.
         dispatch_backward_ms: Likewise.
         gsplat_prepare_ms: See `GsplatTimes`; this and what follows is None where gsplat was not run.
         gsplat_forward_ms: Likewise.
@@ -148,7 +151,7 @@ def main(device: str, json: bool) -> None:
 def _in_table(name: str, device: torch.device) -> bool:
     """Whether a field is a column of the large table.
 
-    What is the same in every row is not, nor the other device's yardstick.
+    What is the same in every row is none, nor the other device's yardstick.
     """
     if name.startswith("dispatch") or name == "hardware":
         return False
@@ -243,15 +246,18 @@ def _row(
 def stage_times(scene: Scene, channels: int) -> StageTimes:
     """Time preparation, blending and its adjoint, each by itself."""
     projection, bins = _prepare(scene)
-    leaves = [tensor.clone().requires_grad_() for tensor in _blended(scene, projection, channels)]
-    gradients, device = scene.image_gradients(channels), scene.means.device
-    size = {"width": scene.camera.width, "height": scene.camera.height}
-    blended = blend(*leaves, bins, **size)
+    device, grad_image = scene.means.device, scene.image_gradients(channels)
+    leaves = _wanting_gradients(_splats(scene, projection, channels))
+
+    def blended() -> Blended:
+        return blend(*leaves, bins, width=scene.camera.width, height=scene.camera.height)
+
+    image = blended()
     return StageTimes(
         prepare=least_ms(lambda: _prepare(scene), device, repeats=REPEATS),
-        forward=least_ms(lambda: blend(*leaves, bins, **size), device, repeats=REPEATS),
+        forward=least_ms(blended, device, repeats=REPEATS),
         backward=least_ms(
-            lambda: torch.autograd.grad(blended, leaves, gradients, retain_graph=True),
+            lambda: torch.autograd.grad(image, leaves, grad_image, retain_graph=True),
             device,
             repeats=REPEATS,
         ),
@@ -260,18 +266,14 @@ def stage_times(scene: Scene, channels: int) -> StageTimes:
 
 
 def dispatch_times(device: torch.device) -> Times:
-    """Time the whole operator where there is next to nothing to compute: one Gaussian in one tile."""
+    """Time the whole operator on one Gaussian in an image of one tile: next to nothing to compute."""
     scene = make_scene(1, TILE, device)
-    leaves, gradients = _leaves(scene, 3), scene.image_gradients(3)
-    # reading the number of intersections back would wait for the kernels, on a GPU
-    capacity = 1 if device.type == "cuda" else None
-    found = rasterize(*leaves, scene.camera, capacity=capacity)
+    leaves, grad_image = _wanting_gradients(scene.gaussians(3)), scene.image_gradients(3)
+    found = rasterize(*leaves, scene.camera)
     return Times(
+        least_ms(lambda: rasterize(*leaves, scene.camera), device, repeats=DISPATCH_REPEATS),
         least_ms(
-            lambda: rasterize(*leaves, scene.camera, capacity=capacity), device, repeats=DISPATCH_REPEATS
-        ),
-        least_ms(
-            lambda: torch.autograd.grad(found[:2], leaves, gradients, retain_graph=True),
+            lambda: torch.autograd.grad((found.features, found.alpha), leaves, grad_image, retain_graph=True),
             device,
             repeats=DISPATCH_REPEATS,
         ),
@@ -279,51 +281,62 @@ def dispatch_times(device: torch.device) -> Times:
 
 
 def operator_peak_bytes(scene: Scene, channels: int) -> int:
-    """Peak bytes of the whole operator, forward and backward, above its inputs and the gradients it gets."""
-    leaves, gradients = _leaves(scene, channels), scene.image_gradients(channels)
-    return peak_bytes(
-        lambda: torch.autograd.grad(rasterize(*leaves, scene.camera)[:2], leaves, gradients),
-        scene.means.device,
-    )
+    """Peak bytes of the whole operator, there and back, above its inputs and the gradients it gets."""
+    leaves, grad_image = _wanting_gradients(scene.gaussians(channels)), scene.image_gradients(channels)
+
+    def there_and_back() -> None:
+        found = rasterize(*leaves, scene.camera)
+        torch.autograd.grad((found.features, found.alpha), leaves, grad_image)
+
+    return peak_bytes(there_and_back, scene.means.device)
 
 
 def _plain_times(scene: Scene, channels: int) -> Times:
-    """Time the plain kernels, whose adjoint is right on one thread only."""
     projection, bins = _prepare(scene)
-    tensors, gradients, device = (
-        _blended(scene, projection, channels),
-        scene.image_gradients(channels),
-        scene.means.device,
-    )
-    size = {"width": scene.camera.width, "height": scene.camera.height}
+    splats, device = _splats(scene, projection, channels), scene.means.device
+    grad_features, grad_transmittance = scene.image_gradients(channels)
     gaussians = bins.gaussians
-    blended = blending_plain.blend(*tensors, bins, gaussians, **size)
+
+    def blended() -> Blended:
+        return blending_plain.blend(
+            *splats, bins, gaussians, width=scene.camera.width, height=scene.camera.height
+        )
+
+    image = blended()
     return Times(
-        least_ms(lambda: blending_plain.blend(*tensors, bins, gaussians, **size), device, repeats=REPEATS),
+        least_ms(blended, device, repeats=REPEATS),
         least_ms(
-            lambda: blending_plain.blend_adjoint(*tensors, bins, gaussians, blended, *gradients),
+            lambda: blending_plain.blend_adjoint(
+                *splats, bins, gaussians, image, grad_features, grad_transmittance
+            ),
             device,
             repeats=REPEATS,
         ),
     )
 
 
+class Splats(NamedTuple):
+    """What `blend` takes: see there."""
+
+    means2d: Tensor
+    conics: Tensor
+    opacities: Tensor
+    features: Tensor
+
+
 def _prepare(scene: Scene) -> tuple[Projection, TileBins]:
     projection = project(scene.means, scene.quaternions, scene.scales, scene.opacities, scene.camera)
-    return projection, bin_tiles(
-        projection, scene.opacities, width=scene.camera.width, height=scene.camera.height
-    )
+    bins = bin_tiles(projection, scene.opacities, width=scene.camera.width, height=scene.camera.height)
+    return projection, bins
 
 
-def _blended(scene: Scene, projection: Projection, channels: int) -> list[Tensor]:
-    """What blending takes: means, conics, opacities and features."""
-    return [projection.means2d, projection.conics, scene.opacities, scene.features(channels)]
+def _splats(scene: Scene, projection: Projection, channels: int) -> Splats:
+    return Splats(projection.means2d, projection.conics, scene.opacities, scene.features(channels))
 
 
-def _leaves(scene: Scene, channels: int) -> list[Tensor]:
-    """What the whole operator takes, wanting gradients."""
-    tensors = (scene.means, scene.quaternions, scene.scales, scene.opacities, scene.features(channels))
-    return [tensor.clone().requires_grad_() for tensor in tensors]
+def _wanting_gradients(inputs: Inputs) -> Inputs:
+    """Copies of tensors that want gradients."""
+    return type(inputs)(*(tensor.clone().requires_grad_() for tensor in inputs))
 
 
 def _clock() -> float | None:

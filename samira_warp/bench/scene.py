@@ -4,11 +4,22 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from samira_warp.geometry.camera import Camera
+
+
+class Gaussians(NamedTuple):
+    """What `rasterize` takes: see there."""
+
+    means: Tensor
+    quaternions: Tensor
+    scales: Tensor
+    opacities: Tensor
+    features: Tensor
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,19 +45,23 @@ class Scene:
         generator = torch.Generator().manual_seed(channels)
         return torch.rand(len(self.means), channels, generator=generator).to(self.means)
 
+    def gaussians(self, channels: int) -> Gaussians:
+        """The Gaussians with C features."""
+        return Gaussians(self.means, self.quaternions, self.scales, self.opacities, self.features(channels))
+
     def image_gradients(self, channels: int) -> tuple[Tensor, Tensor]:
-        """Normal (H, W, C) and (H, W): the gradients of a loss by the blended features and by the
-        transmittance.
-        """
+        """Normal (H, W, C) and (H, W): a loss's gradients by the blended features and transmittance."""
         generator = torch.Generator().manual_seed(channels)
         height, width = self.camera.height, self.camera.width
-        shapes = ((height, width, channels), (height, width))
-        return tuple(torch.randn(shape, generator=generator).to(self.means) for shape in shapes)
+        grad_features = torch.randn(height, width, channels, generator=generator)
+        grad_transmittance = torch.randn(height, width, generator=generator)
+        return grad_features.to(self.means), grad_transmittance.to(self.means)
 
 
 def make_scene(count: int, size: int, device: torch.device) -> Scene:
-    """Uniform in a disc of radius 0.42 H, axes lognormal about 2 px at H = 512 with sigma 0.5, any turn,
-    opacity 0.05..0.95; seed 0.
+    """Gaussians uniform in a disc of radius 0.42 H, seed 0.
+
+    Their axes are lognormal about 2 px at H = 512 with sigma 0.5, turned anyhow; opacities are 0.05..0.95.
     """
     generator = torch.Generator().manual_seed(0)
     uniform = torch.rand(6, count, generator=generator)
@@ -62,6 +77,8 @@ def make_scene(count: int, size: int, device: torch.device) -> Scene:
     half_turn = 0.5 * math.pi * uniform[3]
     zero = torch.zeros(count)
     quaternions = torch.stack([half_turn.cos(), zero, zero, half_turn.sin()], dim=-1)
-    tensors = (means, quaternions, scales, 0.05 + 0.9 * uniform[4])
+    opacities = 0.05 + 0.9 * uniform[4]
     camera = Camera(torch.eye(4), focal, focal, size / 2, size / 2, size, size)
-    return Scene(*(tensor.to(device) for tensor in tensors), camera.to(device))
+    return Scene(
+        means.to(device), quaternions.to(device), scales.to(device), opacities.to(device), camera.to(device)
+    )

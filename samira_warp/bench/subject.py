@@ -1,5 +1,6 @@
-"""A stand-in subject for benchmarks: an ellipsoid head of realistic size in FLAME's layout, with everything
-an avatar needs.
+"""A stand-in subject for benchmarks: an ellipsoid head in FLAME's layout.
+
+Its size is realistic, and it has everything an avatar needs.
 """
 
 from __future__ import annotations
@@ -28,9 +29,7 @@ FOCAL_SHARE = 2.8
 
 
 def make_template() -> HeadTemplate:
-    """An ellipsoid with 50 smooth random expressions, a rectangular atlas, and bands of latitude for
-    regions.
-    """
+    """An ellipsoid with 50 smooth random expressions, a rectangular atlas, and latitudes for regions."""
     generator = np.random.default_rng(0)
     v, u = np.meshgrid(np.linspace(0.0, 1.0, RINGS), np.linspace(0.0, 1.0, SEGMENTS), indexing="ij")
     polar, azimuth = np.pi * (0.02 + 0.96 * v.ravel()), 2.0 * np.pi * u.ravel()

@@ -18,7 +18,7 @@ WARM_UP = 3
 """Untimed runs before: kernels load and caches fill."""
 
 
-class Stages:
+class Stopwatch:
     """Milliseconds of named stages, over many runs."""
 
     def __init__(self, device: torch.device) -> None:
@@ -44,14 +44,15 @@ class Stages:
 
 
 def repeat(run: Callable[[], object]) -> None:
-    """Run often enough for `Stages.medians`."""
+    """Run often enough for `Stopwatch.medians`."""
     for _ in range(WARM_UP + REPEATS):
         run()
 
 
 def least_ms(function: Callable[[], object], device: torch.device, *, repeats: int) -> float:
-    """Milliseconds of a call, after one to warm up: on a CPU the least of ``repeats``, on a GPU their mean
-    between two events.
+    """Milliseconds of a call, after one to warm up.
+
+    On a CPU it is the least of ``repeats``, on a GPU their mean between two events.
     """
     function()
     if device.type == "cuda":

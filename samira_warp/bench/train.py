@@ -7,7 +7,7 @@ import json as json_format
 import torch
 
 from samira_warp.bench.subject import make_avatar, make_camera, make_parameters
-from samira_warp.bench.timing import Stages, hardware, print_table, repeat
+from samira_warp.bench.timing import Stopwatch, hardware, print_table, repeat
 from samira_warp.head import FrameParameters
 from samira_warp.train.config import PRESETS, LossWeights
 from samira_warp.train.losses import Target, total_loss
@@ -25,32 +25,32 @@ def measure(device: torch.device, *, preset: str) -> dict[str, object]:
     set_rates(optimizer, step=1000, steps=3000)
     grey = torch.full((size, size, 3), 0.5, device=device)
     target = Target(grey, torch.ones(size, size, device=device), grey)
-    stages, weights = Stages(device), LossWeights()
+    stopwatch, weights = Stopwatch(device), LossWeights()
 
     def step() -> None:
-        with stages.stage("light"):
+        with stopwatch.stage("light"):
             light = avatar.light()
-        with stages.stage("motion"):
+        with stopwatch.stage("motion"):
             motion = avatar.move(tracked.frame(0, parameters[0]))
-        with stages.stage("raster"):
+        with stopwatch.stage("raster"):
             gbuffer = avatar.rasterize(motion, camera)
-        with stages.stage("shading"):
+        with stopwatch.stage("shading"):
             rendering = avatar.shade(motion, gbuffer, camera, light)
-        with stages.stage("loss"):
+        with stopwatch.stage("loss"):
             terms = total_loss(rendering, target, avatar, weights, stage_two=True, perceptual=None)
             optimizer.zero_grad(set_to_none=True)
-        with stages.stage("backward"):
+        with stopwatch.stage("backward"):
             torch.stack(list(terms.values())).sum().backward()
-        with stages.stage("optimizer"):
+        with stopwatch.stage("optimizer"):
             optimizer.step()
 
     def whole_step() -> None:
-        with stages.stage("total"):
+        with stopwatch.stage("total"):
             step()
 
     repeat(whole_step)
     row = {"preset": preset, "size": size, "gaussians": len(avatar.gaussians)}
-    return {**row, **{f"{name}_ms": value for name, value in stages.medians().items()}}
+    return {**row, **{f"{name}_ms": value for name, value in stopwatch.medians().items()}}
 
 
 def main(device: str, json: bool) -> None:

@@ -5,13 +5,18 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Any
+
 import warp as wp
 
 from samira_warp.kernels.cubemap.layout import FacePoint, Footprint, bilinear_weights, cell_texels, footprint
 from samira_warp.kernels.cubemap.lookup import lower_level
 
-Quad = wp.types.matrix(shape=(4, 3), dtype=wp.float32)
-"""The texels of a cell, one a row."""
+if TYPE_CHECKING:
+    Quad = Any
+else:
+    Quad = wp.types.matrix(shape=(4, 3), dtype=wp.float32)
+    """The texels of a cell, one a row."""
 
 
 @wp.func

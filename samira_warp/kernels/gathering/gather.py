@@ -90,10 +90,10 @@ class GatherTable:
 
     def to(self, device: torch.device | str) -> GatherTable:
         """The same map on ``device``."""
-        return replace(
-            self,
-            **{name: value.to(device) for name, value in vars(self).items() if isinstance(value, Tensor)},
-        )
+        tensors: dict[str, Any] = {
+            name: value.to(device) for name, value in vars(self).items() if isinstance(value, Tensor)
+        }
+        return replace(self, **tensors)
 
 
 def gather(values: Tensor, table: GatherTable) -> Tensor:

@@ -13,7 +13,7 @@ terms.
 from __future__ import annotations
 
 import functools
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
 import warp as wp
@@ -33,7 +33,10 @@ DETERMINANT_MAX = wp.constant(1.0e30)
 """Pixels^4; beyond it (some 10^7 pixels across) products of conic entries underflow in float32, and the
 Gaussian is culled."""
 
-mat23 = wp.types.matrix(shape=(2, 3), dtype=wp.float32)
+if TYPE_CHECKING:
+    mat23 = Any
+else:
+    mat23 = wp.types.matrix(shape=(2, 3), dtype=wp.float32)
 
 
 class Projection(NamedTuple):

@@ -64,11 +64,10 @@ def pad_faces(cubemap: Tensor) -> Tensor:
         over = torch.maximum(s.abs(), t.abs()) > size
         # a point one step over an edge folds down onto the neighbour: (S + 1, t, S) becomes (S, t, S - 1)
         major = torch.where(over, size - 1, size)
-        point = [x.clamp(-size, size)[..., None] * axes[face, k] for k, x in enumerate((s, t, major))]
+        folded = torch.stack([s, t, major], dim=-1).clamp(-size, size)
         corner = (s.abs() > size) & (t.abs() > size)
-        point = sum(point) * ~corner[..., None] + corner[..., None] * torch.tensor(
-            [size, size - 1, size - 1], device=cubemap.device
-        )
+        corner_texel = torch.tensor([size, size - 1, size - 1], device=cubemap.device)
+        point = torch.where(corner[..., None], corner_texel, (folded[..., None] * axes[face]).sum(dim=-2))
         faces.append(flat[texel_index(point, size)])
     padded = torch.stack(faces)
     for j, inner_j in ((0, 1), (size + 1, size)):

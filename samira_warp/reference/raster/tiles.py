@@ -37,5 +37,13 @@ def bin_tiles(projection: Projection, opacities: Tensor, *, width: int, height: 
     listed = touched.any(dim=1)[torch.argsort(order)]
     record_offsets = torch.cat([touched.new_zeros(1, dtype=torch.long), listed.cumsum(dim=0)])
     records = record_offsets[order[ranks][slots]]
-    lists = (offsets, records, slots, order, slot_offsets, record_offsets)
-    return TileBins(*(values.int() for values in lists), columns, rows)
+    return TileBins(
+        tile_offsets=offsets,
+        records=records.int(),
+        slots=slots.int(),
+        order=order.int(),
+        slot_offsets=slot_offsets.int(),
+        record_offsets=record_offsets.int(),
+        columns=columns,
+        rows=rows,
+    )
