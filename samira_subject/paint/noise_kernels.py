@@ -5,6 +5,7 @@ from __future__ import annotations
 import warp as wp
 
 UNIT = wp.constant(1.0 / 16777216.0)
+"""2^-24: as many bits as a float32 holds exactly."""
 
 _ACROSS = wp.constant(wp.uint32(0x8DA6B343))
 _UP = wp.constant(wp.uint32(0xD8163841))
@@ -37,6 +38,7 @@ def _ease(t: wp.float32) -> wp.float32:
 
 @wp.func
 def _noise(p: wp.vec3, seed: wp.uint32) -> wp.float32:
+    """The numbers of a cell's eight corners, eased into each other."""
     x = wp.int32(wp.floor(p[0]))
     y = wp.int32(wp.floor(p[1]))
     z = wp.int32(wp.floor(p[2]))
@@ -87,10 +89,12 @@ def find_spots(
     y = wp.int32(wp.floor(p[1]))
     z = wp.int32(wp.floor(p[2]))
     best = wp.float32(0.0)
+    # a spot keeps to its cell's middle and is smaller than a cell: none beyond the neighbours reaches p
     for step in range(27):
         i = x + step % 3 - 1
         j = y + (step // 3) % 3 - 1
         k = z + step // 9 - 1
+        # a cell's numbers are drawn with seeds of their own: whether it has a spot, where, and how large
         if _number(i, j, k, seed + wp.uint32(4)) < 2.0 * share - 1.0:
             shift = wp.vec3(
                 _number(i, j, k, seed),

@@ -16,7 +16,7 @@ INTEGERS = (torch.uint8, torch.int8, torch.int16, torch.int32, torch.int64)
 """The dtypes of ids that an operator converts itself."""
 
 Shape = Sequence[int | str]
-"""One entry per dimension: a number, or a name such as "N", which stands for one number throughout a check."""
+"""An entry per dimension: a number, or a name such as "N", which means one number throughout a check."""
 
 Dtype = torch.dtype | tuple[torch.dtype, ...] | None
 """The dtype, any of several, or any at all."""
@@ -91,6 +91,8 @@ def check_ids(
 def _has_shape(tensor: Tensor, shape: Shape, sizes: dict[str, int]) -> bool:
     """Whether the shape fits; notes what the names in it stand for, where it is the first to have them."""
     found = tensor.shape
+    if found == shape:
+        return True
     if len(found) != len(shape):
         return False
     for size, want in zip(found, shape, strict=True):

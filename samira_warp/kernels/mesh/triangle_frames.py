@@ -48,10 +48,11 @@ class MeshTopology:
     corners: Groups
 
     def __post_init__(self) -> None:
+        check_tensor("faces", self.faces, shape=("F", 3), dtype=torch.int32)
         check_tensors(
-            ("faces", self.faces, ("F", 3), torch.int32),
             ("corners.offsets", self.corners.offsets, (self.vertex_count + 1,), torch.int32),
             ("corners.members", self.corners.members, (self.faces.numel(),), torch.int32),
+            device=self.faces.device,
         )
 
     @classmethod

@@ -96,12 +96,16 @@ def _check(
         ("conics", conics, ("N", 3)),
         ("opacities", opacities, ("N",)),
         ("features", features, ("N", "C")),
-        ("bins.tile_offsets", bins.tile_offsets, (bins.columns * bins.rows + 1,), torch.int32),
+    )
+    count, tiles = len(means2d), bins.columns * bins.rows
+    check_tensors(
+        ("bins.tile_offsets", bins.tile_offsets, (tiles + 1,), torch.int32),
         ("bins.records", bins.records, ("I",), torch.int32),
         ("bins.slots", bins.slots, ("I",), torch.int32),
-        ("bins.order", bins.order, ("N",), torch.int32),
-        ("bins.slot_offsets", bins.slot_offsets, (len(means2d) + 1,), torch.int32),
-        ("bins.record_offsets", bins.record_offsets, (len(means2d) + 1,), torch.int32),
+        ("bins.order", bins.order, (count,), torch.int32),
+        ("bins.slot_offsets", bins.slot_offsets, (count + 1,), torch.int32),
+        ("bins.record_offsets", bins.record_offsets, (count + 1,), torch.int32),
+        device=means2d.device,
     )
     if (bins.columns, bins.rows) != tile_grid(width, height):
         raise UserError(
