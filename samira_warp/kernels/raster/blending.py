@@ -74,6 +74,20 @@ def blend(
         UserError: If a shape, dtype or device is wrong, or the bins are another image's.
     """
     _check(means2d, conics, opacities, features, bins, width, height)
+    return blend_unchecked(means2d, conics, opacities, features, bins, width=width, height=height)
+
+
+def blend_unchecked(
+    means2d: Tensor,
+    conics: Tensor,
+    opacities: Tensor,
+    features: Tensor,
+    bins: TileBins,
+    *,
+    width: int,
+    height: int,
+) -> Blended:
+    """`blend`, of tensors that were looked at."""
     geometry = [tensor.contiguous() for tensor in (means2d, conics, opacities)]
     groups = features.split(CHANNELS_AT_ONCE, dim=1)
     blended = [Blended(*_Blend.apply(*geometry, group.contiguous(), bins, width, height)) for group in groups]

@@ -83,6 +83,13 @@ def project(
         ("opacities", opacities, ("N",)),
         ("camera.world_to_camera", camera.world_to_camera, (4, 4)),
     )
+    return project_unchecked(means, quaternions, scales, opacities, camera)
+
+
+def project_unchecked(
+    means: Tensor, quaternions: Tensor, scales: Tensor, opacities: Tensor, camera: Camera
+) -> Projection:
+    """`project`, of tensors that were looked at."""
     return Projection(
         *_Project.apply(means.contiguous(), quaternions.contiguous(), scales.contiguous(), opacities, camera)
     )

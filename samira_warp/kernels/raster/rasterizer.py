@@ -7,9 +7,10 @@ from typing import NamedTuple
 from torch import Tensor
 
 from samira_warp.geometry.camera import Camera
-from samira_warp.kernels.raster.blending import blend
-from samira_warp.kernels.raster.projection import project
-from samira_warp.kernels.raster.tiles import bin_tiles
+from samira_warp.kernels.raster.blending import blend_unchecked
+from samira_warp.kernels.raster.projection import project_unchecked
+from samira_warp.kernels.raster.tiles import bin_tiles_unchecked
+from samira_warp.support.validation import check_tensors
 
 
 class Rasterized(NamedTuple):
@@ -34,8 +35,9 @@ def rasterize(
 ) -> Rasterized:
     """Rasterise 3D Gaussians by EWA splatting; differentiable in the first five arguments.
 
-    It is `project`, `bin_tiles` and `blend` in a row. The number of intersections is read back from the
-    device once; where that must not be, as in a captured graph, call the three, with a ``capacity``.
+    It is `project`, `bin_tiles` and `blend` in a row, whose inputs are looked at once. The number of
+    intersections is read back from the device once; where that must not be, as in a captured graph, call the
+    three, with a ``capacity``.
 
     Args:
         means: (N, 3) float32, world space, metres.
@@ -48,10 +50,18 @@ def rasterize(
     Raises:
         UserError: If a shape, dtype or device is wrong.
     """
+    check_tensors(
+        ("means", means, ("N", 3)),
+        ("quaternions", quaternions, ("N", 4)),
+        ("scales", scales, ("N", 3)),
+        ("opacities", opacities, ("N",)),
+        ("features", features, ("N", "C")),
+        ("camera.world_to_camera", camera.world_to_camera, (4, 4)),
+    )
     width, height = camera.width, camera.height
-    projection = project(means, quaternions, scales, opacities, camera)
-    bins = bin_tiles(projection, opacities, width=width, height=height)
-    image = blend(
+    projection = project_unchecked(means, quaternions, scales, opacities, camera)
+    bins = bin_tiles_unchecked(projection, opacities, width=width, height=height)
+    image = blend_unchecked(
         projection.means2d, projection.conics, opacities, features, bins, width=width, height=height
     )
     return Rasterized(image.features, 1.0 - image.transmittance, projection.means2d, projection.visible)

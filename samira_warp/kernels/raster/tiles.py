@@ -63,7 +63,6 @@ class TileBins(NamedTuple):
         return torch.searchsorted(self.record_offsets[1:], self.records, right=True, out_int32=True)
 
 
-@torch.no_grad()
 def bin_tiles(
     projection: Projection, opacities: Tensor, *, width: int, height: int, capacity: int | None = None
 ) -> TileBins:
@@ -95,6 +94,14 @@ def bin_tiles(
         raise UserError(
             "capacity", expected=f"a whole number of at least 0 and less than {ENTRIES_MAX}", found=capacity
         )
+    return bin_tiles_unchecked(projection, opacities, width=width, height=height, capacity=capacity)
+
+
+@torch.no_grad()
+def bin_tiles_unchecked(
+    projection: Projection, opacities: Tensor, *, width: int, height: int, capacity: int | None = None
+) -> TileBins:
+    """`bin_tiles`, of tensors and a capacity that were looked at."""
     columns, rows = tile_grid(width, height)
     if max(columns, rows) >= 2**15:
         raise UserError(
