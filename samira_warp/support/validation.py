@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NoReturn
 
 import torch
 from torch import Tensor
@@ -37,7 +38,7 @@ def check_tensors(*wanted: Wanted, device: torch.device | None = None) -> None:
         device: Where they must be; None for where the first one is, if kernels run there.
     """
     sizes: dict[str, int] = {}
-    for name, tensor, shape, *rest in wanted:
+    for index, (name, tensor, shape, *rest) in enumerate(wanted):
         dtype = rest[0] if rest else torch.float32
         if isinstance(tensor, Tensor):
             place = tensor.device
@@ -46,7 +47,7 @@ def check_tensors(*wanted: Wanted, device: torch.device | None = None) -> None:
             fits = place == device and (tensor.dtype is dtype or _is_one_of(tensor.dtype, dtype))
             if fits and _has_shape(tensor, shape, sizes):
                 continue
-        _refuse(name, tensor, shape, dtype, device, sizes)
+        _refuse(name, tensor, _known(shape, wanted[:index]), dtype, device)
 
 
 def check_tensor(
@@ -105,17 +106,24 @@ def _is_one_of(found: torch.dtype, dtype: Dtype) -> bool:
     return dtype is None or (isinstance(dtype, tuple) and found in dtype)
 
 
-def _refuse(
-    name: str, tensor: object, shape: Shape, dtype: Dtype, device: torch.device | None, sizes: dict[str, int]
-) -> None:
+def _known(shape: Shape, earlier: Sequence[Wanted]) -> Shape:
+    """The shape with numbers for the names that the tensors before have settled."""
+    sizes: dict[int | str, int] = {}
+    for _, tensor, names, *_ in earlier:
+        sizes.update(zip(names, tensor.shape, strict=True))
+    return tuple(sizes.get(want, want) if isinstance(want, str) else want for want in shape)
+
+
+def _refuse(name: str, tensor: object, shape: Shape, dtype: Dtype, device: torch.device | None) -> NoReturn:
     """Say what was expected and what came."""
-    dimensions = ", ".join(str(sizes.get(want, want) if isinstance(want, str) else want) for want in shape)
-    place = device or " or ".join(_KERNELS_RUN_ON)
-    expected = f"{_dtype_name(dtype)} tensor of shape ({dimensions}) on {place}"
-    if isinstance(tensor, Tensor):
-        found = f"{_dtype_name(tensor.dtype)} {tuple(tensor.shape)} on {tensor.device}"
-    else:
+    dimensions = ", ".join(map(str, shape))
+    expected = f"{_dtype_name(dtype)} tensor of shape ({dimensions})"
+    if not isinstance(tensor, Tensor):
         found = type(tensor).__name__
+    else:
+        found = f"{_dtype_name(tensor.dtype)} {tuple(tensor.shape)} on {tensor.device}"
+        if tensor.device != device:
+            expected += f" on {device or ' or '.join(_KERNELS_RUN_ON)}"
     raise UserError(name, expected=expected, found=found)
 
 

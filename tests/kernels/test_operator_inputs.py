@@ -10,6 +10,7 @@ from kernels.scenes import cloud, turned_camera
 from samira_warp import kernels
 from samira_warp.kernels import FaceBinding, GatherTable, MeshTopology
 from samira_warp.support.errors import UserError
+from samira_warp.surface import Surface
 
 WIDTH, HEIGHT = 20, 12
 
@@ -81,6 +82,17 @@ CASES = {
     "rasterize_uv": lambda: {"vt": torch.rand(4, 2), "ft": torch.tensor([[0, 1, 2], [1, 2, 3]]), "size": 8},
     "sample_cubemap": lambda: {"cubemap": CUBEMAP, "directions": DIRECTIONS},
     "sample_mips": lambda: {"mips": (CUBEMAP, CUBEMAP), "directions": DIRECTIONS, "levels": torch.ones(5)},
+    "shade_gbuffer": lambda: {
+        "surface": Surface.of(
+            albedo=DIRECTIONS, normal=DIRECTIONS, roughness=torch.ones(5, 1), specular=torch.ones(5, 1)
+        ),
+        "view": DIRECTIONS,
+        "alpha": torch.ones(5, 1),
+        "irradiance": CUBEMAP,
+        "mips": (CUBEMAP, CUBEMAP),
+        "brdf": torch.ones(4, 4, 2),
+        "background": torch.ones(5, 3),
+    },
     "triangle_frames": lambda: dict(zip(("vertices", "topology"), mesh(), strict=True)),
     "FaceBinding.build": lambda: {"faces": torch.tensor([0, 1]), "face_count": 2},
     "GatherTable.build": lambda: {
@@ -92,7 +104,7 @@ CASES = {
 }
 """Arguments that pass, by operator."""
 
-ELSEWHERE = {"shade_gbuffer", "visible"}
+ELSEWHERE = {"visible"}
 """Operators whose inputs have tests beside theirs."""
 
 LEADING = {
@@ -104,6 +116,7 @@ LEADING = {
     "rasterize": ("means",),
     "rasterize_uv": ("vt", "ft"),
     "sample_cubemap": ("directions",),
+    "shade_gbuffer": ("surface.albedo",),
     "sample_mips": ("directions",),
     "FaceBinding.build": ("faces",),
     "GatherTable.build": ("indices",),

@@ -379,15 +379,18 @@ def test_every_input_is_checked(generator, name, spoil):
 def test_maps_that_are_no_cubes_are_refused(generator):
     surface, view = single_points(4, generator, torch.device("cpu"))
     cube, oblong = torch.ones(6, 2, 2, 3), torch.ones(6, 2, 4, 3)
-    with pytest.raises(UserError, match=r"irradiance: expected square"):
+    with pytest.raises(UserError, match=r"irradiance: expected .* \(6, S, S, 3\), found"):
         shade(surface, view, FilteredLight(oblong, (cube,)))
-    with pytest.raises(UserError, match=r"mips\[2\]: expected square"):
+    with pytest.raises(UserError, match=r"mips\[2\]: expected .* \(6, S, S, 3\), found"):
         shade(surface, view, FilteredLight(cube, (cube, cube, oblong)))
     with pytest.raises(UserError, match="mips: expected at least one"):
         shade(surface, view, FilteredLight(cube, ()))
     options = {"irradiance": cube, "mips": (cube,), "background": torch.ones(1, 3)}
-    for brdf in (torch.ones(8, 7, 2), torch.ones(1, 1, 2)):
-        with pytest.raises(UserError, match="brdf: expected as many rows as columns"):
+    for brdf, expected in (
+        (torch.ones(8, 7, 2), r".* \(N, N, 2\)"),
+        (torch.ones(1, 1, 2), "at least 2 rows"),
+    ):
+        with pytest.raises(UserError, match=f"brdf: expected {expected}"):
             shade_gbuffer(surface, view, torch.ones(4, 1), **options, brdf=brdf)
 
 

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from samira_warp.kernels.cubemap.layout import check_cubemap
 from samira_warp.support.errors import UserError
-from samira_warp.support.validation import check_tensor
+from samira_warp.support.validation import check_tensor, check_tensors
 from samira_warp.surface import CHANNELS, Surface
 
 
@@ -19,10 +19,8 @@ def check_surface(surface: Surface, *, count: int | str = "M", device: torch.dev
         count: M, or a name for any number of points.
         device: The device expected, or None for any.
     """
-    for name, channel in CHANNELS.items():
-        values = getattr(surface, name)
-        check_tensor(name, values, shape=(count, channel.width), device=device)
-        count, device = values.shape[0], values.device
+    channels = [(name, getattr(surface, name), (count, channel.width)) for name, channel in CHANNELS.items()]
+    check_tensors(*channels, device=device)
 
 
 def check_light(irradiance: Tensor, mips: tuple[Tensor, ...], brdf: Tensor, *, device: torch.device) -> None:
@@ -33,8 +31,8 @@ def check_light(irradiance: Tensor, mips: tuple[Tensor, ...], brdf: Tensor, *, d
     for index, mip in enumerate(mips):
         check_cubemap(f"mips[{index}]", mip, channels=3, device=device)
     check_tensor("brdf", brdf, shape=("N", "N", 2), device=device)
-    if brdf.shape[0] != brdf.shape[1] or brdf.shape[0] < 2:
-        raise UserError("brdf", expected="as many rows as columns, at least 2", found=tuple(brdf.shape))
+    if len(brdf) < 2:
+        raise UserError("brdf", expected="at least 2 rows and columns", found=tuple(brdf.shape))
 
 
 def check_background(background: Tensor, *, count: int, device: torch.device) -> None:

@@ -35,7 +35,7 @@ from samira_warp.kernels.shading.brdf import brdf_slope_cosine, brdf_slope_rough
 from samira_warp.kernels.shading.checks import check_background, check_light, check_surface
 from samira_warp.kernels.shading.display import show, show_adjoint
 from samira_warp.support.constants import COVERED_ALPHA
-from samira_warp.support.validation import check_tensor
+from samira_warp.support.validation import check_tensors
 from samira_warp.surface import CHANNELS, Surface
 
 _GRAIN = 2048
@@ -103,8 +103,7 @@ def shade_gbuffer(
     """
     check_surface(surface)
     count, device = len(surface.normal), surface.normal.device
-    check_tensor("view", view, shape=(count, 3), device=device)
-    check_tensor("alpha", alpha, shape=(count, 1), device=device)
+    check_tensors(("view", view, (count, 3)), ("alpha", alpha, (count, 1)), device=device)
     check_light(irradiance, mips, brdf, device=device)
     check_background(background, count=count, device=device)
     differentiable = {
