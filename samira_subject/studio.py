@@ -27,7 +27,7 @@ DISTANCE = 1.0
 """Metres from the camera to the middle of the head."""
 
 
-class Materials(Protocol):
+class MaterialsLike(Protocol):
     """What a head's surface is made of, in its UV layout; all float32 on the CPU."""
 
     @property
@@ -57,7 +57,7 @@ class Cast:
 
     template: HeadTemplate
     identity: Tensor
-    materials: Materials
+    materials: MaterialsLike
 
 
 class Studio:

@@ -16,8 +16,8 @@ from typing import NamedTuple
 import torch
 from matplotlib.figure import Figure
 
+from samira_warp.bench.disc import Disc, make_disc
 from samira_warp.bench.raster import StageTimes, stage_times
-from samira_warp.bench.scene import Scene, make_scene
 from samira_warp.bench.timing import hardware
 from samira_warp.support.cli import run
 from samira_warp.support.constants import ALPHA_MIN
@@ -26,7 +26,7 @@ from samira_warp.support.devices import pick_device
 from samira_warp.support.errors import UserError
 
 TRANSLUCENT = 0.1
-"""Factor on the scene's opacities, so that pixels see all their Gaussians instead of stopping when they are
+"""Factor on the disc's opacities, so that pixels see all their Gaussians instead of stopping when they are
 full."""
 
 FAINT = 0.5 * ALPHA_MIN
@@ -101,23 +101,23 @@ def main(config: GrowthConfig) -> None:
 
 def _measure(points: list[Point], device: torch.device) -> Iterator[tuple[Point, StageTimes]]:
     for point in points:
-        yield point, stage_times(_scene(point, device), point.channels)
+        yield point, stage_times(_disc(point, device), point.channels)
 
 
-def _scene(point: Point, device: torch.device) -> Scene:
-    """The benchmark's scene, translucent, with culled Gaussians mixed into it.
+def _disc(point: Point, device: torch.device) -> Disc:
+    """The benchmark's disc, translucent, with culled Gaussians mixed into it.
 
     As many are behind the camera as beside the image and as are too faint to see.
     """
-    scene = make_scene(point.gaussians + point.culled, point.size, device)
-    shuffle = torch.randperm(len(scene.means), generator=torch.Generator().manual_seed(1))
+    disc = make_disc(point.gaussians + point.culled, point.size, device)
+    shuffle = torch.randperm(len(disc.means), generator=torch.Generator().manual_seed(1))
     behind, beside, faint = (chosen.to(device) for chosen in shuffle[: point.culled].tensor_split(3))
-    means, opacities = scene.means.clone(), TRANSLUCENT * scene.opacities
+    means, opacities = disc.means.clone(), TRANSLUCENT * disc.opacities
     means[behind, 2] *= -1.0
-    # the scene's disc ends inside the image: two widths to the side
-    means[beside, 0] += 2.0 * point.size / scene.camera.fx * means[beside, 2]
+    # the disc ends inside the image: two widths to the side
+    means[beside, 0] += 2.0 * point.size / disc.camera.fx * means[beside, 2]
     opacities[faint] *= FAINT / TRANSLUCENT
-    return replace(scene, means=means, opacities=opacities)
+    return replace(disc, means=means, opacities=opacities)
 
 
 def _per_intersection(times: StageTimes) -> float:

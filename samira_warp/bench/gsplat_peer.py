@@ -1,4 +1,4 @@
-"""gsplat, where it is installed, on the rasteriser's scene, stage against stage: like with like."""
+"""gsplat, where it is installed, on the rasteriser's disc, stage against stage: like with like."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from samira_warp.bench.scene import Scene
+from samira_warp.bench.disc import Disc
 from samira_warp.bench.timing import least_ms
 
 REPEATS = 20
@@ -33,14 +33,14 @@ class GsplatTimes(NamedTuple):
     backward: float
 
 
-def gsplat_times(scene: Scene, channels: int) -> GsplatTimes | None:
-    """Time gsplat on a scene on a GPU.
+def gsplat_times(disc: Disc, channels: int) -> GsplatTimes | None:
+    """Time gsplat on a disc on a GPU.
 
     None where gsplat is absent, or fails (its first call builds it, with nvcc): stderr says why.
     """
     try:
         gsplat = _gsplat()
-        return None if gsplat is None else _measure(gsplat, scene, channels)
+        return None if gsplat is None else _measure(gsplat, disc, channels)
     except (AssertionError, AttributeError, ImportError, KeyError, OSError, RuntimeError, TypeError) as error:
         print(f"gsplat left out: {type(error).__name__} {' '.join(str(error).split())}", file=sys.stderr)
         return None
@@ -51,12 +51,12 @@ def _gsplat() -> ModuleType | None:
     return importlib.import_module("gsplat") if importlib.util.find_spec("gsplat") else None
 
 
-def _measure(gsplat: ModuleType, scene: Scene, channels: int) -> GsplatTimes:
-    camera, device = scene.camera, scene.means.device
+def _measure(gsplat: ModuleType, disc: Disc, channels: int) -> GsplatTimes:
+    camera, device = disc.camera, disc.means.device
     intrinsics = torch.tensor(
         [[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]], device=device
     )
-    gaussians = scene.gaussians(channels)
+    gaussians = disc.gaussians(channels)
     view = (camera.world_to_camera[None], intrinsics[None], camera.width, camera.height)
 
     @torch.no_grad()
@@ -74,7 +74,7 @@ def _measure(gsplat: ModuleType, scene: Scene, channels: int) -> GsplatTimes:
         return gsplat.rasterize_to_pixels(*leaves, camera.width, camera.height, *tiles)
 
     image, alpha = blend()
-    grad_features, grad_transmittance = scene.image_gradients(channels)
+    grad_features, grad_transmittance = disc.image_gradients(channels)
     grad_image = (grad_features[None], -grad_transmittance[None, ..., None])
     forward = least_ms(blend, device, repeats=REPEATS)
     backward = least_ms(

@@ -17,9 +17,9 @@ from typing import Any, NamedTuple, TypeVar
 import torch
 from torch import Tensor
 
+from samira_warp.bench.disc import Disc, Gaussians, make_disc
 from samira_warp.bench.gsplat_peer import GsplatTimes, gsplat_times
 from samira_warp.bench.memory import peak_bytes
-from samira_warp.bench.scene import Gaussians, Scene, make_scene
 from samira_warp.bench.timing import hardware, least_ms
 from samira_warp.kernels.plain import blending as blending_plain
 from samira_warp.kernels.raster.blending import Blended, blend
@@ -37,7 +37,7 @@ Inputs = TypeVar("Inputs", Gaussians, "Splats")
 REPEATS = 5
 DISPATCH_REPEATS = 100
 PLAIN_BUDGET = 240.0
-"""Seconds for the plain kernels in all; scenes after that go without their ratios."""
+"""Seconds for the plain kernels in all; discs after that go without their ratios."""
 
 
 class Sweep(NamedTuple):
@@ -114,7 +114,7 @@ class Row:
 
 
 class StageTimes(NamedTuple):
-    """Milliseconds of the rasteriser's stages on one scene, and its number of intersections."""
+    """Milliseconds of the rasteriser's stages on one disc, and its number of intersections."""
 
     prepare: float
     forward: float
@@ -181,31 +181,31 @@ def run(device: torch.device, sweep: Sweep) -> Iterator[Row]:
             dispatch[threads] = dispatch_times(device)
         for count in sweep.gaussians:
             for size in sweep.sizes:
-                scene = make_scene(count, size, device)
+                disc = make_disc(count, size, device)
                 for channels in sweep.channels:
                     plain = None
                     if device.type == "cpu" and plain_seconds < PLAIN_BUDGET:
                         torch.set_num_threads(1)
                         start = time.perf_counter()
-                        plain = _plain_times(scene, channels)
+                        plain = _plain_times(disc, channels)
                         plain_seconds += time.perf_counter() - start
                         if plain_seconds >= PLAIN_BUDGET:
                             print(
                                 f"plain kernels left out from here on: they had {PLAIN_BUDGET:g} seconds",
                                 file=sys.stderr,
                             )
-                    gsplat = gsplat_times(scene, channels) if device.type == "cuda" else None
+                    gsplat = gsplat_times(disc, channels) if device.type == "cuda" else None
                     for threads in sweep.threads:
                         torch.set_num_threads(threads or threads_before)
                         yield _row(
-                            scene, channels, threads, plain=plain, gsplat=gsplat, dispatch=dispatch[threads]
+                            disc, channels, threads, plain=plain, gsplat=gsplat, dispatch=dispatch[threads]
                         )
     finally:
         torch.set_num_threads(threads_before)
 
 
 def _row(
-    scene: Scene,
+    disc: Disc,
     channels: int,
     threads: int,
     *,
@@ -213,12 +213,12 @@ def _row(
     gsplat: GsplatTimes | None,
     dispatch: Times,
 ) -> Row:
-    ours = stage_times(scene, channels)
+    ours = stage_times(disc, channels)
     clock = _clock() if threads else None
     pairs_per_second = 1e3 * TILE * TILE * ours.intersections / ours.forward
     return Row(
-        gaussians=len(scene.means),
-        size=scene.camera.height,
+        gaussians=len(disc.means),
+        size=disc.camera.height,
         channels=channels,
         threads=threads,
         intersections=ours.intersections,
@@ -231,7 +231,7 @@ def _row(
         backward_ratio=plain.backward / ours.backward if plain else None,
         pairs_per_second=pairs_per_second,
         cycles_per_16_pairs=16 * clock * threads / pairs_per_second if clock else None,
-        peak_bytes=operator_peak_bytes(scene, channels),
+        peak_bytes=operator_peak_bytes(disc, channels),
         dispatch_forward_ms=dispatch.forward,
         dispatch_backward_ms=dispatch.backward,
         gsplat_prepare_ms=gsplat.prepare if gsplat else None,
@@ -239,22 +239,22 @@ def _row(
         gsplat_backward_ms=gsplat.backward if gsplat else None,
         gsplat_forward_ratio=gsplat.forward / ours.forward if gsplat else None,
         gsplat_backward_ratio=gsplat.backward / ours.backward if gsplat else None,
-        hardware=hardware(scene.means.device),
+        hardware=hardware(disc.means.device),
     )
 
 
-def stage_times(scene: Scene, channels: int) -> StageTimes:
+def stage_times(disc: Disc, channels: int) -> StageTimes:
     """Time preparation, blending and its adjoint, each by itself."""
-    projection, bins = _prepare(scene)
-    device, grad_image = scene.means.device, scene.image_gradients(channels)
-    leaves = _wanting_gradients(_splats(scene, projection, channels))
+    projection, bins = _prepare(disc)
+    device, grad_image = disc.means.device, disc.image_gradients(channels)
+    leaves = _wanting_gradients(_splats(disc, projection, channels))
 
     def blended() -> Blended:
-        return blend(*leaves, bins, width=scene.camera.width, height=scene.camera.height)
+        return blend(*leaves, bins, width=disc.camera.width, height=disc.camera.height)
 
     image = blended()
     return StageTimes(
-        prepare=least_ms(lambda: _prepare(scene), device, repeats=REPEATS),
+        prepare=least_ms(lambda: _prepare(disc), device, repeats=REPEATS),
         forward=least_ms(blended, device, repeats=REPEATS),
         backward=least_ms(
             lambda: torch.autograd.grad(image, leaves, grad_image, retain_graph=True),
@@ -267,11 +267,11 @@ def stage_times(scene: Scene, channels: int) -> StageTimes:
 
 def dispatch_times(device: torch.device) -> Times:
     """Time the whole operator on one Gaussian in an image of one tile: next to nothing to compute."""
-    scene = make_scene(1, TILE, device)
-    leaves, grad_image = _wanting_gradients(scene.gaussians(3)), scene.image_gradients(3)
-    found = rasterize(*leaves, scene.camera)
+    disc = make_disc(1, TILE, device)
+    leaves, grad_image = _wanting_gradients(disc.gaussians(3)), disc.image_gradients(3)
+    found = rasterize(*leaves, disc.camera)
     return Times(
-        least_ms(lambda: rasterize(*leaves, scene.camera), device, repeats=DISPATCH_REPEATS),
+        least_ms(lambda: rasterize(*leaves, disc.camera), device, repeats=DISPATCH_REPEATS),
         least_ms(
             lambda: torch.autograd.grad((found.features, found.alpha), leaves, grad_image, retain_graph=True),
             device,
@@ -280,26 +280,26 @@ def dispatch_times(device: torch.device) -> Times:
     )
 
 
-def operator_peak_bytes(scene: Scene, channels: int) -> int:
+def operator_peak_bytes(disc: Disc, channels: int) -> int:
     """Peak bytes of the whole operator, there and back, above its inputs and the gradients it gets."""
-    leaves, grad_image = _wanting_gradients(scene.gaussians(channels)), scene.image_gradients(channels)
+    leaves, grad_image = _wanting_gradients(disc.gaussians(channels)), disc.image_gradients(channels)
 
     def there_and_back() -> None:
-        found = rasterize(*leaves, scene.camera)
+        found = rasterize(*leaves, disc.camera)
         torch.autograd.grad((found.features, found.alpha), leaves, grad_image)
 
-    return peak_bytes(there_and_back, scene.means.device)
+    return peak_bytes(there_and_back, disc.means.device)
 
 
-def _plain_times(scene: Scene, channels: int) -> Times:
-    projection, bins = _prepare(scene)
-    splats, device = _splats(scene, projection, channels), scene.means.device
-    grad_features, grad_transmittance = scene.image_gradients(channels)
+def _plain_times(disc: Disc, channels: int) -> Times:
+    projection, bins = _prepare(disc)
+    splats, device = _splats(disc, projection, channels), disc.means.device
+    grad_features, grad_transmittance = disc.image_gradients(channels)
     gaussians = bins.gaussians
 
     def blended() -> Blended:
         return blending_plain.blend(
-            *splats, bins, gaussians, width=scene.camera.width, height=scene.camera.height
+            *splats, bins, gaussians, width=disc.camera.width, height=disc.camera.height
         )
 
     image = blended()
@@ -324,14 +324,14 @@ class Splats(NamedTuple):
     features: Tensor
 
 
-def _prepare(scene: Scene) -> tuple[Projection, TileBins]:
-    projection = project(scene.means, scene.quaternions, scene.scales, scene.opacities, scene.camera)
-    bins = bin_tiles(projection, scene.opacities, width=scene.camera.width, height=scene.camera.height)
+def _prepare(disc: Disc) -> tuple[Projection, TileBins]:
+    projection = project(disc.means, disc.quaternions, disc.scales, disc.opacities, disc.camera)
+    bins = bin_tiles(projection, disc.opacities, width=disc.camera.width, height=disc.camera.height)
     return projection, bins
 
 
-def _splats(scene: Scene, projection: Projection, channels: int) -> Splats:
-    return Splats(projection.means2d, projection.conics, scene.opacities, scene.features(channels))
+def _splats(disc: Disc, projection: Projection, channels: int) -> Splats:
+    return Splats(projection.means2d, projection.conics, disc.opacities, disc.features(channels))
 
 
 def _wanting_gradients(inputs: Inputs) -> Inputs:

@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from samira_warp.bench import avatar, gsplat_peer, raster, timing
+from samira_warp.bench.disc import make_disc
 from samira_warp.bench.memory import peak_bytes
-from samira_warp.bench.scene import make_scene
 from samira_warp.bench.subject import make_avatar, make_camera, make_parameters
 from samira_warp.kernels.raster.projection import project
 from samira_warp.kernels.raster.tiles import TILE, bin_tiles
@@ -164,7 +164,7 @@ def fake_gsplat(scene, calls):
 
 
 def test_gsplat_is_timed_by_stage(device, monkeypatch):
-    scene, calls = make_scene(50, 40, device), []
+    scene, calls = make_disc(50, 40, device), []
     monkeypatch.setattr(gsplat_peer, "_gsplat", lambda: fake_gsplat(scene, calls))
     times = gsplat_peer.gsplat_times(scene, 11)
     assert times.forward > 0
@@ -173,7 +173,7 @@ def test_gsplat_is_timed_by_stage(device, monkeypatch):
 
 
 def test_without_gsplat_there_are_no_figures_and_a_broken_one_says_why(device, monkeypatch, capsys):
-    scene = make_scene(50, 40, device)
+    scene = make_disc(50, 40, device)
     monkeypatch.setattr(gsplat_peer, "_gsplat", lambda: None)
     assert gsplat_peer.gsplat_times(scene, 3) is None
     assert capsys.readouterr().err == ""
@@ -192,5 +192,5 @@ def test_whatever_gsplat_raises_the_benchmark_goes_on(monkeypatch, capsys, error
 
     broken = types.SimpleNamespace(rasterization=fail)
     monkeypatch.setattr(gsplat_peer, "_gsplat", fail if where == "import" else lambda: broken)
-    assert gsplat_peer.gsplat_times(make_scene(50, 40, torch.device("cpu")), 3) is None
+    assert gsplat_peer.gsplat_times(make_disc(50, 40, torch.device("cpu")), 3) is None
     assert capsys.readouterr().err.startswith(f"gsplat left out: {type(error).__name__}")

@@ -43,7 +43,7 @@ def test_table_and_plot(tool, monkeypatch, tmp_path, capsys):
 
 
 def test_culled_gaussians_are_behind_beside_and_too_faint(tool):
-    scene = tool._scene(tool.Point(100, 60, 64, 3), torch.device("cpu"))
+    scene = tool._disc(tool.Point(100, 60, 64, 3), torch.device("cpu"))
     behind = scene.means[:, 2] < 0
     faint = scene.opacities < ALPHA_MIN
     # the image is 1 / 50 of the distance wide

@@ -210,10 +210,10 @@ MILLION = """
 import resource
 import torch
 from samira_warp.bench.raster import GBUFFER_CHANNELS
-from samira_warp.bench.scene import make_scene
+from samira_warp.bench.disc import make_disc
 from samira_warp.kernels.raster.rasterizer import rasterize
 
-scene = make_scene(1_000_000, 1024, torch.device("cpu"))
+scene = make_disc(1_000_000, 1024, torch.device("cpu"))
 leaves = [scene.means, scene.quaternions, scene.scales, scene.opacities, scene.features(GBUFFER_CHANNELS)]
 leaves = [leaf.requires_grad_() for leaf in leaves]
 found = rasterize(*leaves, scene.camera)

@@ -23,7 +23,7 @@ class Gaussians(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class Disc:
     """N Gaussians in a disc before a camera behind a long lens.
 
     Attributes:
@@ -58,7 +58,7 @@ class Scene:
         return grad_features.to(self.means), grad_transmittance.to(self.means)
 
 
-def make_scene(count: int, size: int, device: torch.device) -> Scene:
+def make_disc(count: int, size: int, device: torch.device) -> Disc:
     """Gaussians uniform in a disc of radius 0.42 H, seed 0.
 
     Their axes are lognormal about 2 px at H = 512 with sigma 0.5, turned anyhow; opacities are 0.05..0.95.
@@ -79,6 +79,6 @@ def make_scene(count: int, size: int, device: torch.device) -> Scene:
     quaternions = torch.stack([half_turn.cos(), zero, zero, half_turn.sin()], dim=-1)
     opacities = 0.05 + 0.9 * uniform[4]
     camera = Camera(torch.eye(4), focal, focal, size / 2, size / 2, size, size)
-    return Scene(
+    return Disc(
         means.to(device), quaternions.to(device), scales.to(device), opacities.to(device), camera.to(device)
     )
