@@ -62,9 +62,9 @@ class GaussianGradients(NamedTuple):
     features: Tensor
 
 
-def sum_slots(gradients: SlotGradients, bins: TileBins, channels: int) -> GaussianGradients:
+def sum_slots(grad_slots: SlotGradients, bins: TileBins, channels: int) -> GaussianGradients:
     """Sums over each Gaussian's slots."""
-    values, reached = gradients
+    values, reached = grad_slots
     count, width = bins.order.shape[0], values.shape[1]
     totals = values.new_empty(count, width)
     launch_range(_sum_slots, count, bins.order, bins.slot_offsets, values, reached, totals, grain=GRAIN)
