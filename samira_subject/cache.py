@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
 import sys
-from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
-from filelock import FileLock, Timeout
-
+from samira_subject.alone import alone
 from samira_subject.cast import build_cast
-from samira_subject.make import VERSION, SubjectPlan, make_subject
+from samira_subject.make import make_subject
+from samira_subject.plan import VERSION, SubjectPlan
 from samira_warp.data.subjects import MadeSubject
 from samira_warp.io.files import cache_folder, read_json
 from samira_warp.support.errors import UserError
@@ -41,10 +40,10 @@ def built_in_subject(seed: int = 0) -> Path:
     try:
         if not _is_whole(folder, seed):
             folder.parent.mkdir(parents=True, exist_ok=True)
-            with _alone(folder):
+            with alone(folder, what="the built-in subject"):
                 if not _is_whole(folder, seed):  # another process may have made it
                     _announce(folder)
-                    make_subject(folder, SubjectPlan(seed=seed), build_cast(seed))
+                    make_subject(folder, SubjectPlan(seed=seed), partial(build_cast, seed))
     except OSError as error:
         raise UserError(folder, expected=f"a folder that can be written {_ELSEWHERE}", found=error) from error
     return folder
@@ -80,29 +79,3 @@ def _announce(folder: Path) -> None:
         print(f"{folder} is not the whole built-in subject: making it again", file=sys.stderr)
     else:
         print(f"making the built-in subject, once, in {folder}", file=sys.stderr)
-
-
-@contextlib.contextmanager
-def _alone(folder: Path) -> Iterator[None]:
-    """Keep other processes from making the same folder meanwhile.
-
-    Where one is at it, that is said, and its end waited for.
-
-    Raises:
-        UserError: The file system has no locks.
-    """
-    lock = FileLock(folder.parent / f".{folder.name}.lock")
-    try:
-        try:
-            lock.acquire(timeout=0)
-        except Timeout:
-            print(f"another process is making the built-in subject in {folder}; waiting", file=sys.stderr)
-            lock.acquire()
-    except NotImplementedError as error:
-        raise UserError(
-            folder, expected=f"a folder whose file system has locks {_ELSEWHERE}", found=error
-        ) from error
-    try:
-        yield
-    finally:
-        lock.release()

@@ -6,8 +6,8 @@ import torch
 from tqdm import tqdm
 
 from samira_subject.head import build_head
-from samira_subject.make import TEXELS
 from samira_subject.materials import paint
+from samira_subject.plan import TEXELS
 from samira_subject.studio import Cast, threads
 
 

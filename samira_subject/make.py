@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import asdict, dataclass, field
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +17,8 @@ from scipy.ndimage import gaussian_filter
 from tqdm import tqdm
 
 from samira_subject.performance import FRAMES_PER_SECOND, Performance, perform
-from samira_subject.raycaster import Effort, Picture
+from samira_subject.plan import LIGHTS, VERSION, SubjectPlan, Take
+from samira_subject.raycaster import Picture, PosedSkin
 from samira_subject.raycaster_sampling import SkyTables
 from samira_subject.sky import CAPTURE, SKIES, exposure_of, paint_sky
 from samira_subject.streams import Purpose, generator_of, number_of
@@ -23,55 +27,14 @@ from samira_warp.data.vhap import CANONICAL_FILE
 from samira_warp.geometry.camera import Camera
 from samira_warp.head import FrameParameters, Rig
 from samira_warp.head.template import save_template
-from samira_warp.io.files import replace_folder
+from samira_warp.io.files import resume_folder, whole_file
 from samira_warp.io.images import write_exr, write_png
-from samira_warp.support.errors import UserError
-
-VERSION = 1
-"""Rises with every change that changes a pixel or a parameter of the subject."""
-
-SIZE = 256
-"""Width and height of the pictures, pixels."""
-
-TEXELS = 1024
-"""Width and height of the painted maps: about two texels a pixel at SIZE."""
 
 ALBEDO_BLUR = 0.8 / 512
 """Standard deviation, as a share of the width, of the blur that stands for what estimates of albedo lose."""
 
 ALBEDO_GAIN = 0.05
 """Standard deviation of the factor that stands for how far such estimates stray from frame to frame."""
-
-
-@dataclass(frozen=True)
-class SubjectPlan:
-    """What is made.
-
-    Attributes:
-        seed: Seed of every choice: whose head it is, what it does, and how rays are cast.
-        train: Frames to train on.
-        test: Frames to test on, which follow.
-        relit: How many of those are taken under each of the other lights as well.
-        size: Width and height of the pictures, pixels.
-        texels: Width and height of the painted maps.
-        effort: How many rays.
-
-    Raises:
-        UserError: A number is too small.
-    """
-
-    seed: int = 0
-    train: int = 160
-    test: int = 40
-    relit: int = 10
-    size: int = SIZE
-    texels: int = TEXELS
-    effort: Effort = field(default_factory=Effort)
-
-    def __post_init__(self) -> None:
-        for name, least in (("seed", 0), ("train", 1), ("test", 1), ("relit", 0), ("size", 1), ("texels", 1)):
-            if getattr(self, name) < least:
-                raise UserError(name, expected=f"at least {least}", found=getattr(self, name))
 
 
 class Light:
@@ -101,18 +64,37 @@ class Light:
         return _json({"file": self.file, "azimuth_degrees": 0.0, "exposure": self.exposure})
 
 
-def make_subject(folder: Path, plan: SubjectPlan, cast: Cast) -> None:
+def make_subject(folder: Path, plan: SubjectPlan, cast: Callable[[], Cast]) -> None:
     """Make a dataset, whole or not at all; a folder of that name is replaced.
+
+    Ctrl-C, a full disk or a killed process leave the pictures that were taken beside it, and the next call
+    with the same plan goes on with them, to the same bytes; lines on standard error say so.
 
     Args:
         folder: Where to.
         plan: What to make.
-        cast: The head and its surface.
+        cast: Makes the head and its surface, which must be the plan's seed's.
 
     Raises:
         OSError: It cannot be written.
     """
-    replace_folder(folder, lambda fresh: _Maker(fresh, plan, cast).make())
+    resume_folder(folder, lambda half: _make(half, plan, cast), recipe=plan.recipe)
+
+
+def _make(folder: Path, plan: SubjectPlan, cast: Callable[[], Cast]) -> None:
+    """Write what is not there yet, and say of it what a user may want to know."""
+    takes = plan.takes()
+
+    def count() -> str:
+        return f"{sum(take.is_in(folder) for take in takes)} of {len(takes)} pictures"
+
+    if any(take.is_in(folder) for take in takes):
+        print(f"going on where it stopped: {count()} are there", file=sys.stderr)
+    try:
+        _Maker(folder, plan, cast()).make([take for take in takes if not take.is_in(folder)])
+    except (KeyboardInterrupt, OSError):
+        print(f"stopped: {count()} are kept in {folder}; the same command goes on with them", file=sys.stderr)
+        raise
 
 
 class _Maker:
@@ -123,56 +105,46 @@ class _Maker:
         self._plan = plan
         self._cast = cast
         self._studio = Studio(cast, size=plan.size, effort=plan.effort)
-        self._lights = {name: Light(name) for name in SKIES}
+        self._lights = {name: Light(name) for name in LIGHTS}
         self._performance = perform(
             cast.template.expression_names, train=plan.train, test=plan.test, seed=plan.seed
         )
 
-    def make(self) -> None:
-        """Write all of it."""
+    def make(self, takes: Sequence[Take]) -> None:
+        """Write all but the pictures, which takes no time, and take those that are asked for."""
         for name in ("images", "fg_masks", "albedo", "flame_param", "lights", "gt/albedo", "gt/normal"):
-            (self._folder / name).mkdir(parents=True)
+            (self._folder / name).mkdir(parents=True, exist_ok=True)
         self._write_facts()
         self._write_lights()
-        relit = self._relit_frames()
-        total = len(self._performance) + len(relit) * len(self._other_lights())
-        with tqdm(total=total, unit="picture", dynamic_ncols=True) as bar:
-            for index in range(len(self._performance)):
-                self._take_frame(index, relit=index in relit, bar=bar)
+        self._write_parameters()
+        total = len(self._plan.takes())
+        with tqdm(total=total, initial=total - len(takes), unit="picture", dynamic_ncols=True) as bar:
+            for frame, of_frame in groupby(takes, key=lambda take: take.frame):
+                posed = self._studio.pose(self._performance.frame(frame))
+                for take in of_frame:
+                    bar.set_description(f"frame {frame} under {take.light}")
+                    self._take(take, posed)
+                    bar.update()
 
-    def _other_lights(self) -> list[Light]:
-        return [light for name, light in self._lights.items() if name != CAPTURE]
+    def _take(self, take: Take, posed: PosedSkin) -> None:
+        """Take one picture and write its files, each whole."""
+        seed = number_of(self._plan.seed, Purpose.RAYS, take.frame, LIGHTS.index(take.light))
+        picture = self._studio.take(posed, self._lights[take.light].tables, seed=seed)
+        for layer in take.layers:
+            with whole_file(self._folder / layer / take.file) as path:
+                write_png(path, self._layer(layer, picture, take.frame))
 
-    def _relit_frames(self) -> range:
-        first, step = self._plan.train, max(self._plan.test // max(self._plan.relit, 1), 1)
-        return range(first, first + min(step * self._plan.relit, self._plan.test), step)
-
-    def _take_frame(self, index: int, *, relit: bool, bar: tqdm) -> None:
-        """The pictures and the parameters of one frame."""
-        parameters = self._performance.frame(index)
-        np.savez(self._folder / "flame_param" / f"{index:05d}.npz", **self._arrays(parameters))
-        posed = self._studio.pose(parameters)
-        trains = index < self._plan.train
-        bar.set_description(f"frame {index} under {CAPTURE}")
-        picture = self._studio.take(
-            posed, self._lights[CAPTURE].tables, seed=number_of(self._plan.seed, Purpose.RAYS, index, 0)
-        )
-        bar.update()
-        file = f"{index:05d}_00.png"
-        write_png(self._folder / "images" / file, developed(picture))
-        write_png(self._folder / "fg_masks" / file, picture.coverage.numpy())
-        if trains:
-            write_png(self._folder / "albedo" / file, self._estimated_albedo(picture, index))
-            return
-        write_png(self._folder / "gt" / "albedo" / file, on_white(picture.albedo, picture.coverage))
-        write_png(self._folder / "gt" / "normal" / file, (0.5 + 0.5 * picture.normal).numpy())
-        for number, light in enumerate(self._other_lights() if relit else [], start=1):
-            bar.set_description(f"frame {index} under {light.name}")
-            picture = self._studio.take(
-                posed, light.tables, seed=number_of(self._plan.seed, Purpose.RAYS, index, number)
-            )
-            bar.update()
-            write_png(self._folder / "gt" / "relight" / light.name / file, developed(picture))
+    def _layer(self, layer: str, picture: Picture, frame: int) -> np.ndarray:
+        """What of a picture goes into one of the dataset's folders, display values."""
+        if layer == "fg_masks":
+            return picture.coverage.numpy()
+        if layer == "albedo":
+            return self._estimated_albedo(picture, frame)
+        if layer == "gt/albedo":
+            return on_white(picture.albedo, picture.coverage)
+        if layer == "gt/normal":
+            return (0.5 + 0.5 * picture.normal).numpy()
+        return developed(picture)
 
     def _estimated_albedo(self, picture: Picture, index: int) -> np.ndarray:
         """(H, W, 3) the true albedo as a network might have estimated it, display values on white."""
@@ -197,13 +169,18 @@ class _Maker:
         rows = {key: values[None] for key, values in arrays.items()}
         return {**rows, "shape": self._cast.identity.numpy()}
 
+    def _write_parameters(self) -> None:
+        for index in range(len(self._performance)):
+            arrays = self._arrays(self._performance.frame(index))
+            np.savez(self._folder / "flame_param" / f"{index:05d}.npz", **arrays)
+
     def _write_lights(self) -> None:
         for light in self._lights.values():
             write_exr(self._folder / light.file, light.radiance.numpy())
             if light.name == CAPTURE:
                 (self._folder / "gt" / "capture_light.json").write_text(light.description(), encoding="utf-8")
             else:
-                (self._folder / "gt" / "relight" / light.name).mkdir(parents=True)
+                (self._folder / "gt" / "relight" / light.name).mkdir(parents=True, exist_ok=True)
                 (self._folder / "gt" / "relight" / f"{light.name}.json").write_text(
                     light.description(), encoding="utf-8"
                 )

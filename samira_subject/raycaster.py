@@ -25,6 +25,9 @@ from samira_warp.light.environment import LUMINANCE
 GRAIN = 64
 """Pixels that are worth a thread."""
 
+AT_ONCE = 4096
+"""Pixels that a thread is given at a time: Ctrl-C is heard in between, a fraction of a second apart."""
+
 DARK = 0.05
 """Radiance that is added before a pixel's error is taken relative to it: in the dark, the eye and 8 bits ask
 for less."""
@@ -129,9 +132,10 @@ class PosedSkin:
 
         def add(pixels: torch.Tensor, begin: int, samples: int) -> None:
             numbers = (begin, samples, effort.lights, effort.lobes, seed)
-            launch_range(
-                trace_pixels, len(pixels), pixels, *head, *maps, *sky, *view, *numbers, *sums, grain=GRAIN
-            )
+            for some in pixels.split(AT_ONCE * torch.get_num_threads()):
+                launch_range(
+                    trace_pixels, len(some), some, *head, *maps, *sky, *view, *numbers, *sums, grain=GRAIN
+                )
 
         everywhere = torch.arange(size, dtype=torch.int32, device=device)
         add(everywhere, 0, effort.samples)

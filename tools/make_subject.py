@@ -9,11 +9,14 @@ from __future__ import annotations
 import os
 import sys
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
+from samira_subject.alone import alone
 from samira_subject.cast import build_cast
-from samira_subject.make import SIZE, TEXELS, Light, SubjectPlan, make_subject
+from samira_subject.make import Light, make_subject
 from samira_subject.performance import perform
+from samira_subject.plan import SIZE, TEXELS, SubjectPlan
 from samira_subject.raycaster import Effort
 from samira_subject.sky import CAPTURE, SKIES
 from samira_subject.studio import Studio, developed
@@ -62,9 +65,7 @@ def main(config: SubjectConfig) -> None:
     if config.preview is not None:
         _write_preview(config, config.preview)
     if config.out is not None:
-        texels = _texels(config.resolution)
-        plan = SubjectPlan(config.seed, config.train, config.test, config.relit, config.resolution, texels)
-        make_subject(config.out, plan, build_cast(config.seed, texels=texels))
+        _make_dataset(config, config.out)
 
 
 def _check_numbers(config: SubjectConfig) -> None:
@@ -101,6 +102,16 @@ def _check_targets(config: SubjectConfig) -> None:
             raise UserError(config.preview, expected="the name of a .png file", found=found)
         if not config.preview.parent.is_dir():
             raise UserError(config.preview.parent, expected="a folder for the picture", found="none")
+
+
+def _make_dataset(config: SubjectConfig, out: Path) -> None:
+    """The dataset, by this process alone."""
+    texels = _texels(config.resolution)
+    plan = SubjectPlan(config.seed, config.train, config.test, config.relit, config.resolution, texels)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with alone(out, what="a subject"):
+        _check_targets(config)  # another process may have made it
+        make_subject(out, plan, partial(build_cast, config.seed, texels=texels))
 
 
 def _write_preview(config: SubjectConfig, path: Path) -> None:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
+import glob
 import json
 import os
 import shutil
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -51,27 +53,54 @@ def replace_folder(target: Path, write: Callable[[Path], None]) -> None:
     written. What a killed process left is removed as well.
     """
     target.parent.mkdir(parents=True, exist_ok=True)
-    fresh, stale = (target.parent / f".{target.name}.{word}" for word in ("new", "old"))
+    fresh = target.parent / f".{target.name}.new"
     try:
-        if stale.exists() and not target.exists():
-            stale.rename(target)
-        for folder in (fresh, stale):
-            shutil.rmtree(folder, ignore_errors=True)
+        _settle(target)
+        shutil.rmtree(fresh, ignore_errors=True)
         fresh.mkdir()
         write(fresh)
-        for path in sorted(fresh.rglob("*")):
-            if path.is_file():
-                _flush(path)
-        _flush(fresh)
-        if target.exists():
-            target.rename(stale)
-        fresh.rename(target)
-        _flush(target.parent)
+        _put_in_place(fresh, target)
     finally:
-        if stale.exists() and not target.exists():
-            stale.rename(target)
-        for folder in (fresh, stale):
-            shutil.rmtree(folder, ignore_errors=True)
+        shutil.rmtree(fresh, ignore_errors=True)
+
+
+def resume_folder(target: Path, fill: Callable[[Path], None], *, recipe: str) -> None:
+    """As `replace_folder`, for what takes long: what was written stays, and the next call goes on with it.
+
+    It lies beside the target under a hidden name until it is whole, whatever ends this process. Of several
+    processes, one at a time may do this.
+
+    Args:
+        target: The folder to make.
+        fill: Fills the folder that it is given, in which it finds what an earlier call wrote for the same
+            recipe; files are whole that were written by `whole_file`.
+        recipe: What is made, in a few letters and digits, such as a hash. What was written for another one is
+            removed.
+    """
+    target.parent.mkdir(parents=True, exist_ok=True)
+    half = target.parent / f".{target.name}.half-{recipe}"
+    for other in target.parent.glob(f".{glob.escape(target.name)}.half-*"):
+        if other != half:
+            shutil.rmtree(other, ignore_errors=True)
+    half.mkdir(exist_ok=True)
+    fill(half)
+    _put_in_place(half, target)
+
+
+@contextlib.contextmanager
+def whole_file(target: Path) -> Iterator[Path]:
+    """Give a name to write a file under, which is ``target``'s once the block has ended without an error.
+
+    The name is hidden, in the same folder and with the same suffix, and the file is flushed before it is
+    renamed: under its own name it is whole, or as it was.
+    """
+    fresh = target.with_name(f".{target.stem}.new{target.suffix}")
+    try:
+        yield fresh
+        _flush(fresh)
+        fresh.replace(target)
+    finally:
+        fresh.unlink(missing_ok=True)
 
 
 def replace_file(target: Path, content: str | bytes) -> None:
@@ -79,13 +108,8 @@ def replace_file(target: Path, content: str | bytes) -> None:
 
     Who may read it follows from the process's umask, as with any new file.
     """
-    fresh = target.parent / f".{target.name}.new"
-    try:
+    with whole_file(target) as fresh:
         fresh.write_bytes(content.encode("utf-8") if isinstance(content, str) else content)
-        _flush(fresh)
-        fresh.replace(target)
-    finally:
-        fresh.unlink(missing_ok=True)
 
 
 def save_tensors(tensors: dict[str, Tensor], path: Path, *, metadata: dict[str, str] | None = None) -> None:
@@ -117,6 +141,34 @@ def read_json(path: Path) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise UserError(path, expected="a JSON object", found=type(content).__name__)
     return content
+
+
+def _put_in_place(fresh: Path, target: Path) -> None:
+    """Flush a folder and rename it to ``target``; what has that name is removed once the new one has it."""
+    _settle(target)
+    for path in sorted(fresh.rglob("*")):
+        if path.is_file():
+            _flush(path)
+    _flush(fresh)
+    try:
+        if target.exists():
+            target.rename(_moved_aside(target))
+        fresh.rename(target)
+        _flush(target.parent)
+    finally:
+        _settle(target)
+
+
+def _settle(target: Path) -> None:
+    """Put a folder that was moved aside back, or away where another has its place."""
+    aside = _moved_aside(target)
+    if aside.exists() and not target.exists():
+        aside.rename(target)
+    shutil.rmtree(aside, ignore_errors=True)
+
+
+def _moved_aside(target: Path) -> Path:
+    return target.parent / f".{target.name}.old"
 
 
 def _flush(path: Path) -> None:

@@ -7,7 +7,15 @@ import torch
 from safetensors.torch import load_file
 
 from samira_warp import UserError
-from samira_warp.io.files import cache_folder, read_json, replace_file, replace_folder, save_tensors
+from samira_warp.io.files import (
+    cache_folder,
+    read_json,
+    replace_file,
+    replace_folder,
+    resume_folder,
+    save_tensors,
+    whole_file,
+)
 
 
 def write_one(text):
@@ -55,6 +63,56 @@ def test_what_a_killed_process_left_is_cleared_away(tmp_path):
     replace_folder(target, write_one("fresh"))
     assert (target / "one").read_text() == "fresh"
     assert [path.name for path in tmp_path.iterdir()] == ["folder"]
+
+
+def test_a_folder_that_takes_long_goes_on_with_what_it_has(tmp_path):
+    target = tmp_path / "folder"
+    found = []
+
+    def fill(folder):
+        found.append({path.name: path.read_text() for path in folder.iterdir()})
+        (folder / str(len(found))).write_text("kept")
+        if len(found) < 3:
+            raise KeyboardInterrupt
+
+    target.mkdir()
+    for _ in range(2):
+        with pytest.raises(KeyboardInterrupt):
+            resume_folder(target, fill, recipe="a")
+        assert list(target.iterdir()) == []
+    resume_folder(target, fill, recipe="a")
+    assert found == [{}, {"1": "kept"}, {"1": "kept", "2": "kept"}]
+    assert sorted(path.name for path in target.iterdir()) == ["1", "2", "3"]
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_what_was_begun_of_another_recipe_is_removed_and_nobody_elses(tmp_path):
+    for name in ("f[o]", "foo"):  # the first one's name, as a pattern, means the second one's
+        with pytest.raises(OSError, match="full"):
+            resume_folder(tmp_path / name, fail_after_writing(OSError("full")), recipe="a")
+    resume_folder(tmp_path / "f[o]", lambda folder: None, recipe="b")
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".foo.half-a", "f[o]"]
+    assert list((tmp_path / "f[o]").iterdir()) == []
+
+
+def test_a_file_has_its_name_once_it_is_whole(tmp_path):
+    target = tmp_path / "a.png"
+    target.write_text("before")
+
+    def fail():
+        with whole_file(target) as path:
+            path.write_text("half")
+            raise OSError("full")
+
+    with pytest.raises(OSError, match="full"):
+        fail()
+    assert target.read_text() == "before"
+    with whole_file(target) as path:
+        assert (path.parent, path.suffix) == (target.parent, target.suffix)
+        path.write_text("after")
+        assert target.read_text() == "before"
+    assert target.read_text() == "after"
+    assert list(tmp_path.iterdir()) == [target]
 
 
 def test_a_file_is_replaced_whole(tmp_path):
@@ -150,6 +208,6 @@ def test_folders_are_replaced_on_windows(tmp_path, monkeypatch):
     replace_folder(tmp_path / "folder", write_one("first"))
     replace_file(tmp_path / "a.json", "{}")
     monkeypatch.undo()
-    assert flushed == ["one", ".a.json.new"]
+    assert flushed == ["one", ".a.new.json"]
     assert (tmp_path / "folder" / "one").read_text() == "first"
     assert read_json(tmp_path / "a.json") == {}

@@ -1,10 +1,11 @@
 """A head for tests of what surrounds it: the made-up sphere with eyes, in plain colours.
 
-``python tests/subject/stand_in.py FOLDER`` makes its dataset there, with as many pictures as ``--train N``
-says.
+``python tests/subject/stand_in.py --out FOLDER`` makes its dataset there, with as many pictures as ``--train
+N`` says. With ``--stall-at FILE`` it says so in the middle of writing that file, and goes no further.
 """
 
 import sys
+import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -16,7 +17,9 @@ if str(TESTS) not in sys.path:
 
 from subjects import small_template  # noqa: E402
 
-from samira_subject.make import SubjectPlan, make_subject  # noqa: E402
+from samira_subject import make  # noqa: E402
+from samira_subject.make import make_subject  # noqa: E402
+from samira_subject.plan import SubjectPlan  # noqa: E402
 from samira_subject.raycaster import Effort  # noqa: E402
 from samira_subject.studio import Cast  # noqa: E402
 from samira_warp.support.cli import run  # noqa: E402
@@ -60,10 +63,27 @@ class StandInConfig:
 
     out: Path
     train: int = PLAN.train
+    stall_at: str | None = None
 
 
 def main(config: StandInConfig) -> None:
-    make_subject(config.out, replace(PLAN, train=config.train), stand_in())
+    if config.stall_at is not None:
+        make.write_png = stalling(make.write_png, at=config.stall_at)
+    make_subject(config.out, replace(PLAN, train=config.train), stand_in)
+
+
+def stalling(write, *, at):
+    """``write``, but one file of a folder is never finished."""
+
+    def write_or_stall(path, pixels):
+        write(path, pixels)
+        name = path.name.replace(".new.", ".").removeprefix(".")
+        if f"{path.parent.name}/{name}" == at:
+            path.write_bytes(path.read_bytes()[:100])
+            print("stalled", file=sys.stderr, flush=True)
+            time.sleep(600)
+
+    return write_or_stall
 
 
 def contents(folder):

@@ -1,6 +1,7 @@
 """The dataset of the built-in subject: whole, readable, exact, and the same every time."""
 
 import importlib
+import io
 import json
 import os
 import signal
@@ -12,11 +13,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from filelock import FileLock
 from stand_in import NAMES, PLAN, contents, stand_in
 from subjects import TESTS
 
+from samira_subject import make, plan
 from samira_subject.make import make_subject
 from samira_subject.performance import perform
+from samira_subject.plan import VERSION
 from samira_subject.sky import CAPTURE, SKIES
 from samira_subject.studio import threads
 from samira_warp.data import open_sequence
@@ -34,7 +38,7 @@ def dataset(tmp_path_factory):
     """The stand-in's dataset, made by two threads."""
     folder = tmp_path_factory.mktemp("made") / "subject"
     with threads(2):
-        make_subject(folder, PLAN, stand_in())
+        make_subject(folder, PLAN, stand_in)
     return folder
 
 
@@ -132,22 +136,124 @@ def test_the_same_bytes_in_another_process_by_one_thread(dataset, tmp_path):
 
 
 def test_another_seed_makes_another_subject(dataset, tmp_path):
-    make_subject(tmp_path / "other", replace(PLAN, seed=4, train=1, test=1), stand_in())
+    make_subject(tmp_path / "other", replace(PLAN, seed=4, train=1, test=1), stand_in)
     for name in ("images/00000_00.png", "images/00001_00.png", "flame_param/00001.npz"):
         assert (dataset / name).read_bytes() != (tmp_path / "other" / name).read_bytes()
 
 
-def test_an_interrupt_leaves_nothing(tmp_path):
+def halves(parent):
+    """The folders beside the dataset in which what is made of it is kept."""
+    return list(parent.glob(".subject.half-*"))
+
+
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGINT, 130), (signal.SIGKILL, -signal.SIGKILL)])
+def test_what_ended_early_goes_on_to_the_same_bytes(dataset, tmp_path, number, status):
+    """The third picture's mask is half written then; of the last frame of five, all is missing."""
     folder = tmp_path / "subject"
-    process = command(folder, "--train", "5000")
+    process = command(folder, "--stall-at", "fg_masks/00002_00.png")
+    said = []
+    for line in process.stderr:
+        said.append(line)
+        if "stalled" in line:
+            process.send_signal(number)
+    assert process.wait(timeout=60) == status, said
+    (half,) = halves(tmp_path)
+    assert [path.name for path in tmp_path.iterdir() if "lock" not in path.name] == [half.name]
+    if number == signal.SIGINT:
+        kept = f"stopped: 2 of 8 pictures are kept in {half}; the same command goes on with them\n"
+        assert said[-1] == kept
+    whole = (half / "images" / "00001_00.png").stat().st_ino
+
+    again = command(folder)
+    assert again.wait(timeout=300) == 0, again.stderr.read()
+    assert "going on where it stopped: 2 of 8 pictures are there\n" in again.stderr.read()
+    assert (folder / "images" / "00001_00.png").stat().st_ino == whole
+    assert contents(folder) == contents(dataset)
+    assert list(tmp_path.iterdir()) == [folder]
+
+
+def test_ctrl_c_is_heard_while_rays_are_cast(tmp_path):
+    process = command(tmp_path / "subject", "--train", "5000")
     deadline = time.monotonic() + 120
-    while not list(tmp_path.glob(".subject.new/images/00002*")) and time.monotonic() < deadline:
+    while not list(tmp_path.glob(".subject.half-*/images/00002*")) and time.monotonic() < deadline:
         assert process.poll() is None, process.stderr.read()
         time.sleep(0.05)
     process.send_signal(signal.SIGINT)
     assert process.wait(timeout=60) == 130
-    assert list(tmp_path.iterdir()) == []
-    assert "Traceback" not in process.stderr.read()
+    said = process.stderr.read()
+    assert "of 5005 pictures are kept in" in said.splitlines()[-1]
+    assert "Traceback" not in said
+    (half,) = halves(tmp_path)
+    for path in half.glob("images/[0-9]*.png"):
+        assert read_image(path, channels=3).shape == (PLAN.size, PLAN.size, 3)
+
+
+@pytest.fixture
+def full_disk(monkeypatch):
+    """A disk that takes so many pictures more."""
+
+    def fill(room):
+        write = make.write_png
+        left = iter(range(room))
+
+        def write_while_room(path, pixels):
+            if next(left, None) is None:
+                path.write_bytes(b"half")
+                raise OSError(28, "No space left on device", str(path))
+            write(path, pixels)
+
+        monkeypatch.setattr(make, "write_png", write_while_room)
+
+    yield fill
+    monkeypatch.undo()
+
+
+def test_a_full_disk_keeps_what_it_took(dataset, tmp_path, full_disk, monkeypatch, capsys):
+    folder = tmp_path / "subject"
+    full_disk(7)
+    with pytest.raises(OSError, match="No space left"):
+        make_subject(folder, PLAN, stand_in)
+    (half,) = tmp_path.iterdir()
+    line = capsys.readouterr().err.splitlines()[-1]
+    assert line == f"stopped: 2 of 8 pictures are kept in {half}; the same command goes on with them"
+    monkeypatch.undo()
+    make_subject(folder, PLAN, stand_in)
+    assert contents(folder) == contents(dataset)
+    assert list(tmp_path.iterdir()) == [folder]
+
+
+@pytest.mark.parametrize("other", ["plan", "version"])
+def test_half_of_something_else_is_thrown_away(dataset, tmp_path, full_disk, monkeypatch, capsys, other):
+    folder = tmp_path / "subject"
+    full_disk(7)
+    if other == "version":
+        monkeypatch.setattr(plan, "VERSION", VERSION + 1)
+    with pytest.raises(OSError, match="No space left"):
+        make_subject(folder, replace(PLAN, seed=PLAN.seed + (other == "plan")), stand_in)
+    (before,) = halves(tmp_path)
+    monkeypatch.undo()
+    full_disk(0)
+    with pytest.raises(OSError, match="No space left"):
+        make_subject(folder, PLAN, stand_in)
+    assert "going on" not in capsys.readouterr().err
+    assert not before.exists()
+    monkeypatch.undo()
+    make_subject(folder, PLAN, stand_in)
+    assert contents(folder) == contents(dataset)
+
+
+def test_a_finished_one_stays_until_another_is_whole(tmp_path, full_disk, monkeypatch):
+    folder = tmp_path / "subject"
+    folder.mkdir()
+    (folder / "mine").write_text("before")
+    full_disk(7)
+    with pytest.raises(OSError, match="No space left"):
+        make_subject(folder, PLAN, stand_in)
+    assert (folder / "mine").read_text() == "before"
+    monkeypatch.undo()
+    make_subject(folder, PLAN, stand_in)
+    assert not (folder / "mine").exists()
+    assert (folder / "dataset.json").is_file()
 
 
 @pytest.mark.parametrize(
@@ -176,3 +282,29 @@ def test_the_tool_says_in_one_line_what_is_wrong_before_it_makes_anything(
     (line,) = capsys.readouterr().err.splitlines()
     assert complaint in line
     assert list(tmp_path.iterdir()) == []
+
+
+def test_two_tools_do_not_make_one_folder(tmp_path, monkeypatch):
+    """The second waits for the first, and finds the folder made."""
+    monkeypatch.syspath_prepend(TESTS.parent / "tools")
+    tool = importlib.import_module("make_subject")
+    folder = tmp_path / "new"
+    first = FileLock(tmp_path / ".new.lock")
+    first.acquire()
+
+    class Listener(io.StringIO):
+        """Lets the first finish once it is said that it is waited for."""
+
+        def write(self, text):
+            if "waiting" in text:
+                folder.mkdir()
+                first.release()
+            return super().write(text)
+
+    monkeypatch.setattr(sys, "stderr", Listener())
+    options = ["--out", str(folder)]
+    assert run(tool.main, tool.SubjectConfig, program="make_subject", arguments=options) == 2
+    waiting, refused = sys.stderr.getvalue().splitlines()
+    assert waiting == f"another process is making a subject in {folder}; waiting"
+    assert refused.startswith(f"error: {folder}: expected a new folder")
+    assert list(folder.iterdir()) == []

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from samira_subject import raycaster
 from samira_subject.raycaster import Effort, PosedSkin, Skin
 from samira_subject.raycaster_sampling import SkyTables
 from samira_subject.sky import CAPTURE, SKIES, paint_sky
@@ -158,12 +159,14 @@ def test_a_wall_takes_half_the_sky_and_sends_a_share_back(wall_albedo):
     assert abs(float(picture.radiance[..., 0].mean()) - expected) < 4 * spread + 2e-3
 
 
-def test_the_same_bits_for_any_number_of_threads(use_threads):
+def test_the_same_bits_for_any_number_of_threads(use_threads, monkeypatch):
+    """And however many pixels a thread is given at a time."""
     surface = sphere(albedo=0.5, specular=0.04)
     sky = SkyTables.build(paint_sky(SKIES[CAPTURE], height=32))
     pictures = []
-    for count in (1, 2, 2):
+    for count, at_once in ((1, 4096), (2, 4096), (2, 4096), (2, 100), (1, 7)):
         use_threads(count)
+        monkeypatch.setattr(raycaster, "AT_ONCE", at_once)
         pictures.append(surface.render(camera(32, field=0.25), sky, effort=Effort(more=4, rounds=2), seed=9))
     for picture in pictures[1:]:
         assert all(torch.equal(mine, first) for mine, first in zip(picture, pictures[0], strict=True))

@@ -15,7 +15,7 @@ from filelock import FileLock
 from subjects import train_command
 
 from samira_subject import cache
-from samira_subject.make import VERSION
+from samira_subject.plan import VERSION
 from samira_warp import UserError
 
 HOLDER = """
@@ -52,7 +52,7 @@ def made(monkeypatch):
     seeds = []
 
     def make(folder, plan, cast):
-        assert cast == "a cast"
+        assert cast() == "a cast"
         seeds.append(plan.seed)
         shutil.rmtree(folder, ignore_errors=True)
         write_facts(folder, facts(seed=plan.seed))
