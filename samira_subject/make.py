@@ -82,18 +82,18 @@ def make_subject(folder: Path, plan: SubjectPlan, cast: Callable[[], Cast]) -> N
 
 
 def _make(folder: Path, plan: SubjectPlan, cast: Callable[[], Cast]) -> None:
-    """Write what is not there yet, and say of it what a user may want to know."""
+    """Write what is not there yet; say from where it goes on, and what is kept if it ends early."""
     takes = plan.takes()
 
-    def count() -> str:
-        return f"{sum(take.is_in(folder) for take in takes)} of {len(takes)} pictures"
+    def kept() -> str:
+        return f"{sum(take.is_in(folder) for take in takes)} of {len(takes)} pictures are kept in {folder}"
 
     if any(take.is_in(folder) for take in takes):
-        print(f"going on where it stopped: {count()} are there", file=sys.stderr)
+        print(f"going on where it stopped: {kept()}", file=sys.stderr)
     try:
         _Maker(folder, plan, cast()).make([take for take in takes if not take.is_in(folder)])
     except (KeyboardInterrupt, OSError):
-        print(f"stopped: {count()} are kept in {folder}; the same command goes on with them", file=sys.stderr)
+        print(f"stopped: {kept()}; the same command goes on with the others", file=sys.stderr)
         raise
 
 

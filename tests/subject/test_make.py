@@ -160,13 +160,13 @@ def test_what_ended_early_goes_on_to_the_same_bytes(dataset, tmp_path, number, s
     (half,) = halves(tmp_path)
     assert [path.name for path in tmp_path.iterdir() if "lock" not in path.name] == [half.name]
     if number == signal.SIGINT:
-        kept = f"stopped: 2 of 8 pictures are kept in {half}; the same command goes on with them\n"
+        kept = f"stopped: 2 of 8 pictures are kept in {half}; the same command goes on with the others\n"
         assert said[-1] == kept
     whole = (half / "images" / "00001_00.png").stat().st_ino
 
     again = command(folder)
     assert again.wait(timeout=300) == 0, again.stderr.read()
-    assert "going on where it stopped: 2 of 8 pictures are there\n" in again.stderr.read()
+    assert f"going on where it stopped: 2 of 8 pictures are kept in {half}\n" in again.stderr.read()
     assert (folder / "images" / "00001_00.png").stat().st_ino == whole
     assert contents(folder) == contents(dataset)
     assert list(tmp_path.iterdir()) == [folder]
@@ -215,7 +215,7 @@ def test_a_full_disk_keeps_what_it_took(dataset, tmp_path, full_disk, monkeypatc
         make_subject(folder, PLAN, stand_in)
     (half,) = tmp_path.iterdir()
     line = capsys.readouterr().err.splitlines()[-1]
-    assert line == f"stopped: 2 of 8 pictures are kept in {half}; the same command goes on with them"
+    assert line == f"stopped: 2 of 8 pictures are kept in {half}; the same command goes on with the others"
     monkeypatch.undo()
     make_subject(folder, PLAN, stand_in)
     assert contents(folder) == contents(dataset)
