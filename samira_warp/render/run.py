@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
@@ -13,11 +14,12 @@ from tqdm import tqdm
 
 from samira_warp.avatar import Avatar, DrivingFrame, MaterialEdit
 from samira_warp.avatar.storage import find_avatar
+from samira_warp.geometry.camera import Camera
 from samira_warp.io.images import write_png
 from samira_warp.light import Environment
 from samira_warp.render.config import RenderConfig
 from samira_warp.render.sources import select_frames
-from samira_warp.render.writing import display_values, write_layer
+from samira_warp.render.writing import display_values, left_over, write_layer
 from samira_warp.stage.background import Background
 from samira_warp.stage.layer_names import Layer
 from samira_warp.stage.layers import layer_image
@@ -25,7 +27,7 @@ from samira_warp.stage.lights import read_light, read_sheet_light, sheet_labels,
 from samira_warp.stage.scene import PosedView, Scene
 from samira_warp.stage.sheet import contact_sheet
 from samira_warp.stage.turntable import plan_shots
-from samira_warp.stage.video import VideoWriter
+from samira_warp.stage.video import VideoWriter, film_size
 from samira_warp.support.devices import pick_device
 from samira_warp.support.errors import UserError
 
@@ -83,15 +85,18 @@ def material_edits(config: RenderConfig) -> tuple[MaterialEdit, ...]:
 def _render_sequence(config: RenderConfig, scene: Scene, frames: list[DrivingFrame]) -> int:
     light = scene.light(_light(config, scene.avatar))
     shots = plan_shots(frames, turntable=config.turntable, frames_per_second=config.fps)
-    count = sum(len(shot.pictures) for shot in shots)
+    names = [name for shot in shots for name, _ in shot.pictures]
+    filmed = config.layers if config.video or config.turntable is not None else ()
+    _say_what_stays(config, names, films=bool(filmed))
+    if filmed:
+        _say_film_size(frames[0].camera)
     _make_folders(config)
     with ExitStack() as stack:
         videos = {
             layer: stack.enter_context(VideoWriter(config.out / f"{layer}.mp4", frames_per_second=config.fps))
-            for layer in config.layers
-            if config.video or config.turntable is not None
+            for layer in filmed
         }
-        bar = stack.enter_context(tqdm(total=count, unit="frame", dynamic_ncols=True))
+        bar = stack.enter_context(tqdm(total=len(names), unit="frame", dynamic_ncols=True))
         for shot in shots:
             view = scene.view(shot.frame)
             for name, degrees in shot.pictures:
@@ -101,7 +106,7 @@ def _render_sequence(config: RenderConfig, scene: Scene, frames: list[DrivingFra
                     if layer in videos:
                         videos[layer].add(picture)
                 bar.update()
-    return count
+    return len(names)
 
 
 def _render_sheet(config: RenderConfig, scene: Scene, frame: DrivingFrame, maps: list[Path]) -> int:
@@ -112,6 +117,7 @@ def _render_sheet(config: RenderConfig, scene: Scene, frame: DrivingFrame, maps:
         rendering = scene.shade(view, environment.filtered(), behind)
         for layer, row in pictures.items():
             row.append(display_values(layer_image(rendering, layer)))
+    _say_what_stays(config, [SHEET_NAME], films=False)
     _make_folders(config)
     for layer, row in pictures.items():
         write_png(config.out / layer / f"{SHEET_NAME}.png", contact_sheet(row, sheet_labels(maps)))
@@ -136,6 +142,23 @@ def _sheet_light(
     environment = read_sheet_light(path, rotate=config.rotate, exposure=config.exposure, ldr=config.ldr)
     environment = environment.to(scene.device)
     return replace(environment, backdrop=None), scene.behind(view, environment)
+
+
+def _say_what_stays(config: RenderConfig, names: list[str], *, films: bool) -> None:
+    """Say which files of an earlier rendering will be among those of this one."""
+    stay = left_over(config.out, names, layers=config.layers, films=films)
+    if stay:
+        count = f"{len(stay)} file{'s' * (len(stay) > 1)} of an earlier rendering"
+        print(f"note: {config.out} keeps {count}, such as {stay[0].relative_to(config.out)}", file=sys.stderr)
+
+
+def _say_film_size(camera: Camera) -> None:
+    """Say so where the film is smaller than its pictures."""
+    pictures = camera.width, camera.height
+    film = film_size(*pictures)
+    if film != pictures:
+        sizes = "the film is {} x {} and its pictures {} x {}".format(*film, *pictures)
+        print(f"note: {sizes}: H.264 holds even sizes only", file=sys.stderr)
 
 
 def _make_folders(config: RenderConfig) -> None:

@@ -15,6 +15,11 @@ Stream = Generator[None, np.ndarray | None, None]
 """What takes the frames of a video, one by one."""
 
 
+def film_size(width: int, height: int) -> tuple[int, int]:
+    """Width and height of the film of pictures of a size: H.264 holds even numbers of pixels only."""
+    return width - width % 2, height - height % 2
+
+
 class VideoWriter:
     """An H.264 video that grows frame by frame; use as a context manager."""
 
@@ -33,14 +38,12 @@ class VideoWriter:
             self._writer.close()
 
     def add(self, picture: np.ndarray) -> None:
-        """Append one (H, W, 3) uint8 frame.
-
-        Odd sizes lose their last row or column, which the codec cannot hold.
+        """Append one (H, W, 3) uint8 frame; what is beyond `film_size` is cut off at the right and below.
 
         Raises:
             UserError: The first frame is too small.
         """
-        height, width = (size - size % 2 for size in picture.shape[:2])
+        width, height = film_size(picture.shape[1], picture.shape[0])
         if self._writer is None:
             self._writer = self._open(picture, width=width, height=height)
         self._writer.send(np.ascontiguousarray(picture[:height, :width]))

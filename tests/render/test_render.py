@@ -261,7 +261,7 @@ def test_backgrounds(tiny_run, tmp_path, light, everything, small_environments):
     assert all(np.abs(image[covered] - images["white"][covered]).max() < 0.04 for image in images.values())
 
 
-def test_a_video_holds_every_frame(tiny_run, tmp_path):
+def test_a_video_holds_every_frame(tiny_run, tmp_path, capsys):
     arguments = [
         "--avatar",
         tiny_run,
@@ -282,6 +282,30 @@ def test_a_video_holds_every_frame(tiny_run, tmp_path):
         assert seconds == pytest.approx(0.4, abs=0.05)
         assert len(list((tmp_path / layer).iterdir())) == 4
     assert first(tmp_path, name="00000_00").shape == (33, 33, 3)
+    said = capsys.readouterr().err.splitlines()
+    assert "note: the film is 32 x 32 and its pictures 33 x 33: H.264 holds even sizes only" in said
+
+
+def test_what_an_earlier_rendering_left_is_said(tiny_run, tmp_path, capsys):
+    arguments = ["--avatar", tiny_run, "--out", tmp_path, "--resolution", 32]
+
+    def notes(*more):
+        assert render(*arguments, *more) == 0
+        return [line for line in capsys.readouterr().err.splitlines() if line.startswith("note: ")]
+
+    notes("--layers", "image", "alpha", "--video")
+    (tmp_path / "image" / "notes.txt").write_text("mine, and no picture")
+    kept = f"note: {tmp_path} keeps {{}} of an earlier rendering, such as {{}}"
+    # the alphas of two frames and their film, and the film of the images
+    assert notes("--layers", "image") == [kept.format("4 files", "alpha/00004_00.png")]
+    assert notes("--layers", "image", "alpha", "--video") == []
+    assert notes("--layers", "image", "alpha", "--video", "--frames", "1:") == [
+        kept.format("2 files", "alpha/00004_00.png")
+    ]
+    assert notes("--layers", "image", "alpha", "--video", "--frames", "1:") == [
+        kept.format("2 files", "alpha/00004_00.png")
+    ]
+    assert (tmp_path / "image" / "notes.txt").exists()
 
 
 def test_frames_are_sliced(tiny_run, tmp_path):
