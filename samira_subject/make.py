@@ -37,7 +37,7 @@ ALBEDO_GAIN = 0.05
 """Standard deviation of the factor that stands for how far such estimates stray from frame to frame."""
 
 
-class Light:
+class DatasetLight:
     """A light of the dataset.
 
     Attributes:
@@ -105,7 +105,7 @@ class _Maker:
         self._plan = plan
         self._cast = cast
         self._studio = Studio(cast, size=plan.size, effort=plan.effort)
-        self._lights = {name: Light(name) for name in LIGHTS}
+        self._lights = {name: DatasetLight(name) for name in LIGHTS}
         self._performance = perform(
             cast.template.expression_names, train=plan.train, test=plan.test, seed=plan.seed
         )

@@ -13,6 +13,7 @@ from typing import NamedTuple
 
 import torch
 import warp as wp
+from torch import Tensor
 
 from samira_subject.raycaster_kernels import trace_pixels
 from samira_subject.raycaster_sampling import SkyTables
@@ -46,11 +47,11 @@ class Skin:
         rest: (V, 3) float32 vertices that the slopes of bumps belong to, metres.
     """
 
-    faces: torch.Tensor
-    corner_uv: torch.Tensor
-    albedo: torch.Tensor
-    finish: torch.Tensor
-    rest: torch.Tensor
+    faces: Tensor
+    corner_uv: Tensor
+    albedo: Tensor
+    finish: Tensor
+    rest: Tensor
 
 
 @dataclass(frozen=True)
@@ -87,17 +88,17 @@ class Picture(NamedTuple):
         error: (H, W) float32 standard error of the radiance's luminance.
     """
 
-    radiance: torch.Tensor
-    albedo: torch.Tensor
-    normal: torch.Tensor
-    coverage: torch.Tensor
-    error: torch.Tensor
+    radiance: Tensor
+    albedo: Tensor
+    normal: Tensor
+    coverage: Tensor
+    error: Tensor
 
 
 class PosedSkin:
     """A head in one pose, ready for rays."""
 
-    def __init__(self, skin: Skin, vertices: torch.Tensor, slopes: torch.Tensor) -> None:
+    def __init__(self, skin: Skin, vertices: Tensor, slopes: Tensor) -> None:
         """Build the mesh that rays meet.
 
         Args:
@@ -130,7 +131,7 @@ class PosedSkin:
         maps = (skin.corner_uv, skin.albedo, skin.finish, self._slopes)
         view = _view(camera)
 
-        def add(pixels: torch.Tensor, begin: int, samples: int) -> None:
+        def add(pixels: Tensor, begin: int, samples: int) -> None:
             numbers = (begin, samples, effort.lights, effort.lobes, seed)
             for some in pixels.split(AT_ONCE * torch.get_num_threads()):
                 launch_range(
@@ -174,16 +175,16 @@ class _Sums(NamedTuple):
         hits: (P,) int32 number of the samples.
     """
 
-    open: torch.Tensor
-    drawn: torch.Tensor
-    seen: torch.Tensor
-    rest: torch.Tensor
-    products: torch.Tensor
-    albedo: torch.Tensor
-    normal: torch.Tensor
-    hits: torch.Tensor
+    open: Tensor
+    drawn: Tensor
+    seen: Tensor
+    rest: Tensor
+    products: Tensor
+    albedo: Tensor
+    normal: Tensor
+    hits: Tensor
 
-    def light(self) -> torch.Tensor:
+    def light(self) -> Tensor:
         """(P, 3) mean radiance.
 
         Diffuse light is the exact one without shadows times the share that shadow rays leave of it. Where no
@@ -192,7 +193,7 @@ class _Sums(NamedTuple):
         """
         return (self.open * self._lit() + self.rest) / self._each()
 
-    def error(self) -> torch.Tensor:
+    def error(self) -> Tensor:
         """(P,) standard error of the luminance, the ratio linearised.
 
         Samples that are stratified do better than it says.
@@ -205,7 +206,7 @@ class _Sums(NamedTuple):
         variance = (squared / each - ((found - lit * excess) / each) ** 2).clamp(min=0.0)
         return (variance / (self.hits - 1).clamp(min=1)).sqrt()
 
-    def noisier_than(self, tolerance: float, camera: Camera) -> torch.Tensor:
+    def noisier_than(self, tolerance: float, camera: Camera) -> Tensor:
         """(P,) bool: whether the error is above a share of the radiance.
 
         `DARK` is added to the radiance: in the dark no eye sees the error. It is a pixel's own or, where that
@@ -218,7 +219,7 @@ class _Sums(NamedTuple):
         error = torch.maximum((error / count.clamp(min=1e-6)).sqrt(), self.error()) * is_head
         return error > tolerance * (_luminance(self.light()) + DARK)
 
-    def picture(self, counts: torch.Tensor, camera: Camera) -> Picture:
+    def picture(self, counts: Tensor, camera: Camera) -> Picture:
         """The picture, from the number of samples (P,) that each pixel was given."""
         shape, each = (camera.height, camera.width), self._each()
         return Picture(
@@ -229,24 +230,24 @@ class _Sums(NamedTuple):
             error=self.error().view(shape),
         )
 
-    def _each(self) -> torch.Tensor:
+    def _each(self) -> Tensor:
         return self.hits.clamp(min=1)[:, None]
 
-    def _lit(self) -> torch.Tensor:
+    def _lit(self) -> Tensor:
         """(P, 3) share of the sky's light that no part of the head keeps off."""
         return torch.where(self.drawn > 0.0, self.seen / self.drawn, 0.0)
 
 
-def _luminance(light: torch.Tensor) -> torch.Tensor:
+def _luminance(light: Tensor) -> Tensor:
     return (light * light.new_tensor(LUMINANCE)).sum(dim=1)
 
 
-def _turns(rest: torch.Tensor, posed: torch.Tensor, faces: torch.Tensor) -> torch.Tensor:
+def _turns(rest: Tensor, posed: Tensor, faces: Tensor) -> Tensor:
     """(F, 3, 3) rotations of the faces' frames from the rest head to the posed one."""
     return _frames(posed, faces) @ _frames(rest, faces).transpose(1, 2)
 
 
-def _frames(vertices: torch.Tensor, faces: torch.Tensor) -> torch.Tensor:
+def _frames(vertices: Tensor, faces: Tensor) -> Tensor:
     a, b, c = vertices[faces.long()].unbind(dim=1)
     edge = torch.nn.functional.normalize(b - a, dim=1)
     normal = torch.nn.functional.normalize(torch.linalg.cross(b - a, c - a), dim=1)

@@ -15,7 +15,7 @@ from samira_subject.raycaster_sampling import (
     sample_sky,
 )
 from samira_subject.shading import (
-    Surface,
+    LitPoint,
     channel_normal,
     lobe_density,
     reflect_diffuse,
@@ -45,18 +45,18 @@ class Head:
     """A posed head for rays: geometry in world space and maps in UV space."""
 
     mesh: wp.uint64
-    faces: wp.array2d(dtype=wp.int32)
-    points: wp.array(dtype=wp.vec3)
-    normals: wp.array(dtype=wp.vec3)
-    turns: wp.array(dtype=wp.mat33)
-    corner_uv: wp.array2d(dtype=wp.vec2)
-    albedo: wp.array2d(dtype=wp.vec3)
-    finish: wp.array2d(dtype=wp.vec3)
-    slopes: wp.array2d(dtype=wp.vec3)
+    faces: wp.array2d[wp.int32]
+    points: wp.array[wp.vec3]
+    normals: wp.array[wp.vec3]
+    turns: wp.array[wp.mat33]
+    corner_uv: wp.array2d[wp.vec2]
+    albedo: wp.array2d[wp.vec3]
+    finish: wp.array2d[wp.vec3]
+    slopes: wp.array2d[wp.vec3]
 
 
 @wp.func
-def _texture(texels: wp.array2d(dtype=wp.vec3), uv: wp.vec2) -> wp.vec3:
+def _texture(texels: wp.array2d[wp.vec3], uv: wp.vec2) -> wp.vec3:
     """Bilinear value at u, v."""
     height = texels.shape[0]
     width = texels.shape[1]
@@ -72,17 +72,19 @@ def _texture(texels: wp.array2d(dtype=wp.vec3), uv: wp.vec2) -> wp.vec3:
 
 
 @wp.func
-def _surface_at(head: Head, face: wp.int32, u: wp.float32, v: wp.float32, view: wp.vec3) -> Surface:
-    """What a ray that came from along ``view`` meets, from its face and the weights of the face's first two
-    corners.
+def _surface_at(head: Head, face: wp.int32, u: wp.float32, v: wp.float32, view: wp.vec3) -> LitPoint:
+    """What a ray that came from along ``view`` meets.
 
-    Shadow rays start from the point lifted off the flat face towards the surface that the vertex normals
-    mean, so that the light's edge shows no facets (Hanika, Hacking the Shadow Terminator, 2021).
+    ``u`` and ``v`` are the weights of the face's first two corners, as Warp's ray queries give them. Shadow
+    rays start from the point lifted off the flat face towards the surface that the vertex normals mean, so
+    that the light's edge shows no facets (Hanika, Hacking the Shadow Terminator, 2021).
     """
     w = 1.0 - u - v
     a = head.faces[face, 0]
     b = head.faces[face, 1]
     c = head.faces[face, 2]
+
+    # geometry: everything on the side that the ray came from
     flat = wp.normalize(wp.cross(head.points[b] - head.points[a], head.points[c] - head.points[a]))
     side = wp.float32(1.0)
     if wp.dot(flat, view) < 0.0:
@@ -90,16 +92,20 @@ def _surface_at(head: Head, face: wp.int32, u: wp.float32, v: wp.float32, view: 
     na = side * head.normals[a]
     nb = side * head.normals[b]
     nc = side * head.normals[c]
+
+    # the surface that the vertex normals mean: the point projected onto each corner's tangent plane
     point = u * head.points[a] + v * head.points[b] + w * head.points[c]
     round_point = point
     round_point -= u * wp.min(wp.dot(point - head.points[a], na), 0.0) * na
     round_point -= v * wp.min(wp.dot(point - head.points[b], nb), 0.0) * nb
     round_point -= w * wp.min(wp.dot(point - head.points[c], nc), 0.0) * nc
     smooth = wp.normalize(u * na + v * nb + w * nc)
+
+    # the maps: bumps tilt the normal, in the frame that turned with the face
     uv = u * head.corner_uv[face, 0] + v * head.corner_uv[face, 1] + w * head.corner_uv[face, 2]
     slope = side * (head.turns[face] * _texture(head.slopes, uv))
     finish = _texture(head.finish, uv)
-    surface = Surface()
+    surface = LitPoint()
     surface.view = view
     surface.smooth_normal = _facing(smooth, view)
     surface.normal = _facing(wp.normalize(smooth - slope + wp.dot(slope, smooth) * smooth), view)
@@ -121,16 +127,14 @@ def _facing(normal: wp.vec3, view: wp.vec3) -> wp.vec3:
 
 
 @wp.func
-def _sees_sky(head: Head, surface: Surface, direction: wp.vec3) -> wp.bool:
+def _sees_sky(head: Head, surface: LitPoint, direction: wp.vec3) -> wp.bool:
     """Whether nothing of the head lies in a direction."""
     return not wp.mesh_query_ray_anyhit(head.mesh, surface.position, direction, FAR)
 
 
 @wp.func
-def _direct_light(head: Head, sky: Sky, surface: Surface, number: wp.int32, seed: wp.uint32) -> wp.vec3:
-    """Diffuse radiance of a surface that bumps and highlights do not matter on, from one direction of the
-    sky.
-    """
+def _direct_light(head: Head, sky: Sky, surface: LitPoint, number: wp.int32, seed: wp.uint32) -> wp.vec3:
+    """Diffuse radiance, from one direction of the sky, where bumps and highlights do not matter."""
     sample = sample_lit_sky(sky, surface.smooth_normal, number, seed)
     cosine = wp.dot(surface.smooth_normal, sample.direction)
     if sample.density <= 0.0:
@@ -144,10 +148,10 @@ def _direct_light(head: Head, sky: Sky, surface: Surface, number: wp.int32, seed
 def _bounced_light(
     head: Head, sky: Sky, hit: wp.MeshQueryRay, direction: wp.vec3, number: wp.int32, seed: wp.uint32
 ) -> wp.vec3:
-    """Radiance that other parts of the head send back: that of the part which was hit, and what reaches it
-    from a second one.
+    """Radiance that other parts of the head send back.
 
-    Without the second one, what lies between lips and teeth is black.
+    It is that of the part which was hit, and what reaches it from a second one. Without the second one, what
+    lies between lips and teeth is black.
     """
     other = _surface_at(head, hit.face, hit.u, hit.v, -direction)
     light = _direct_light(head, sky, other, number, seed + wp.uint32(3))
@@ -160,7 +164,7 @@ def _bounced_light(
 
 
 @wp.struct
-class Light:
+class LightParts:
     """What one camera ray sees of the light, by its parts.
 
     Attributes:
@@ -177,7 +181,7 @@ class Light:
 
 
 @wp.func
-def _open_light(sky: Sky, surface: Surface) -> wp.vec3:
+def _open_light(sky: Sky, surface: LitPoint) -> wp.vec3:
     """Diffuse light from the whole sky."""
     light = wp.vec3(0.0)
     for channel in range(3):
@@ -193,18 +197,20 @@ def _open_light(sky: Sky, surface: Surface) -> wp.vec3:
 def _shade(
     head: Head,
     sky: Sky,
-    surface: Surface,
+    surface: LitPoint,
     index: wp.int32,
     lights: wp.int32,
     lobes: wp.int32,
     seed: wp.uint32,
-) -> Light:
+) -> LightParts:
     """Light towards the viewer from directions drawn by the sky's brightness and from the surface's lobes.
 
     Both ways of drawing are weighted by the balance heuristic (Veach, 1997).
     """
-    light = Light()
+    light = LightParts()
     light.open = _open_light(sky, surface)
+
+    # towards the sky's bright parts
     by_sky = wp.float32(lights)
     by_lobes = wp.float32(lobes)
     for draw in range(lights):
@@ -219,6 +225,8 @@ def _shade(
             if _sees_sky(head, surface, sample.direction):
                 light.seen += diffuse
                 light.rest += reflect_specular(surface, sample.direction) * sample.radiance / chance
+
+    # where the surface reflects: there the head may stand before the sky, and send light of its own
     for draw in range(lobes):
         number = index * lobes + draw
         direction = sample_lobe(surface, draw_point(number, seed + wp.uint32(2)))
@@ -243,14 +251,14 @@ def _shade(
 @wp.func
 def _head_of(
     mesh: wp.uint64,
-    faces: wp.array2d(dtype=wp.int32),
-    points: wp.array(dtype=wp.vec3),
-    normals: wp.array(dtype=wp.vec3),
-    turns: wp.array(dtype=wp.mat33),
-    corner_uv: wp.array2d(dtype=wp.vec2),
-    albedo: wp.array2d(dtype=wp.vec3),
-    finish: wp.array2d(dtype=wp.vec3),
-    slopes: wp.array2d(dtype=wp.vec3),
+    faces: wp.array2d[wp.int32],
+    points: wp.array[wp.vec3],
+    normals: wp.array[wp.vec3],
+    turns: wp.array[wp.mat33],
+    corner_uv: wp.array2d[wp.vec2],
+    albedo: wp.array2d[wp.vec3],
+    finish: wp.array2d[wp.vec3],
+    slopes: wp.array2d[wp.vec3],
 ) -> Head:
     """A kernel's arguments as one head."""
     head = Head()
@@ -268,11 +276,11 @@ def _head_of(
 
 @wp.func
 def _sky_of(
-    radiance: wp.array2d(dtype=wp.vec3),
-    rows: wp.array(dtype=wp.float32),
-    columns: wp.array2d(dtype=wp.float32),
-    density: wp.array2d(dtype=wp.float32),
-    irradiance: wp.array2d(dtype=wp.vec3),
+    radiance: wp.array2d[wp.vec3],
+    rows: wp.array[wp.float32],
+    columns: wp.array2d[wp.float32],
+    density: wp.array2d[wp.float32],
+    irradiance: wp.array2d[wp.vec3],
 ) -> Sky:
     """A kernel's arguments as one sky."""
     sky = Sky()
@@ -287,21 +295,21 @@ def _sky_of(
 @wp.kernel(enable_backward=False)
 def trace_pixels(
     first: wp.int32,
-    pixels: wp.array(dtype=wp.int32),
+    pixels: wp.array[wp.int32],
     mesh: wp.uint64,
-    faces: wp.array2d(dtype=wp.int32),
-    points: wp.array(dtype=wp.vec3),
-    normals: wp.array(dtype=wp.vec3),
-    turns: wp.array(dtype=wp.mat33),
-    corner_uv: wp.array2d(dtype=wp.vec2),
-    albedo: wp.array2d(dtype=wp.vec3),
-    finish: wp.array2d(dtype=wp.vec3),
-    slopes: wp.array2d(dtype=wp.vec3),
-    sky_radiance: wp.array2d(dtype=wp.vec3),
-    sky_rows: wp.array(dtype=wp.float32),
-    sky_columns: wp.array2d(dtype=wp.float32),
-    sky_density: wp.array2d(dtype=wp.float32),
-    sky_irradiance: wp.array2d(dtype=wp.vec3),
+    faces: wp.array2d[wp.int32],
+    points: wp.array[wp.vec3],
+    normals: wp.array[wp.vec3],
+    turns: wp.array[wp.mat33],
+    corner_uv: wp.array2d[wp.vec2],
+    albedo: wp.array2d[wp.vec3],
+    finish: wp.array2d[wp.vec3],
+    slopes: wp.array2d[wp.vec3],
+    sky_radiance: wp.array2d[wp.vec3],
+    sky_rows: wp.array[wp.float32],
+    sky_columns: wp.array2d[wp.float32],
+    sky_density: wp.array2d[wp.float32],
+    sky_irradiance: wp.array2d[wp.vec3],
     camera_to_world: wp.mat33,
     origin: wp.vec3,
     focal: wp.vec2,
@@ -312,14 +320,14 @@ def trace_pixels(
     lights: wp.int32,
     lobes: wp.int32,
     seed: wp.int32,
-    open_sums: wp.array(dtype=wp.vec3),
-    drawn_sums: wp.array(dtype=wp.vec3),
-    seen_sums: wp.array(dtype=wp.vec3),
-    rest_sums: wp.array(dtype=wp.vec3),
-    product_sums: wp.array(dtype=wp.vec3),
-    albedo_sums: wp.array(dtype=wp.vec3),
-    normal_sums: wp.array(dtype=wp.vec3),
-    hits: wp.array(dtype=wp.int32),
+    open_sums: wp.array[wp.vec3],
+    drawn_sums: wp.array[wp.vec3],
+    seen_sums: wp.array[wp.vec3],
+    rest_sums: wp.array[wp.vec3],
+    product_sums: wp.array[wp.vec3],
+    albedo_sums: wp.array[wp.vec3],
+    normal_sums: wp.array[wp.vec3],
+    hits: wp.array[wp.int32],
 ) -> None:
     """Add camera samples ``begin`` to ``begin + samples`` - 1 of one pixel to its sums.
 
@@ -334,6 +342,7 @@ def trace_pixels(
     row = pixel // width
     column = pixel - row * width
     for index in range(begin, begin + samples):
+        # a place within the pixel, and its ray
         shift = draw_point(index, pixel_seed)
         x = (wp.float32(column) + shift[0] - center[0]) / focal[0]
         y = (wp.float32(row) + shift[1] - center[1]) / focal[1]

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import torch
 import warp as wp
+from torch import Tensor
 
 from samira_warp.light.environment import LUMINANCE
 from samira_warp.light.equirect import equirect_directions, row_solid_angles, wrap_equirect
@@ -30,8 +31,9 @@ FLOOR = 1e-2
 
 
 class SkyTables(NamedTuple):
-    """A panorama and the chances of drawing its texels, piecewise constant in direction (rows are equal steps
-    of the polar angle).
+    """A panorama and the chances of drawing its texels, piecewise constant in direction.
+
+    Rows are equal steps of the polar angle.
 
     Attributes:
         radiance: (H, W, 3) float32, linear.
@@ -42,14 +44,14 @@ class SkyTables(NamedTuple):
             with a border of one texel.
     """
 
-    radiance: torch.Tensor
-    rows: torch.Tensor
-    columns: torch.Tensor
-    density: torch.Tensor
-    irradiance: torch.Tensor
+    radiance: Tensor
+    rows: Tensor
+    columns: Tensor
+    density: Tensor
+    irradiance: Tensor
 
     @classmethod
-    def build(cls, radiance: torch.Tensor) -> SkyTables:
+    def build(cls, radiance: Tensor) -> SkyTables:
         """The tables of a (H, W, 3) float32 panorama, on its device."""
         height, width = radiance.shape[:2]
         brightness = radiance.double() @ torch.tensor(LUMINANCE, dtype=torch.float64, device=radiance.device)
@@ -69,7 +71,7 @@ class SkyTables(NamedTuple):
         )
 
 
-def _irradiance(radiance: torch.Tensor) -> torch.Tensor:
+def _irradiance(radiance: Tensor) -> Tensor:
     """(64, 128, 3) float32 irradiance by the surface's normal, from (H, W, 3) radiance.
 
     The sky is a sum of blocks, each with its exact vector irradiance: only at a block that the surface's own
@@ -98,11 +100,11 @@ def _irradiance(radiance: torch.Tensor) -> torch.Tensor:
 class Sky:
     """`SkyTables` inside a kernel."""
 
-    radiance: wp.array2d(dtype=wp.vec3)
-    rows: wp.array(dtype=wp.float32)
-    columns: wp.array2d(dtype=wp.float32)
-    density: wp.array2d(dtype=wp.float32)
-    irradiance: wp.array2d(dtype=wp.vec3)
+    radiance: wp.array2d[wp.vec3]
+    rows: wp.array[wp.float32]
+    columns: wp.array2d[wp.float32]
+    density: wp.array2d[wp.float32]
+    irradiance: wp.array2d[wp.vec3]
 
 
 @wp.struct
@@ -153,7 +155,7 @@ def look_up_irradiance(sky: Sky, normal: wp.vec3) -> wp.vec3:
 
 
 @wp.func
-def _find_row(rows: wp.array(dtype=wp.float32), value: wp.float32) -> wp.int32:
+def _find_row(rows: wp.array[wp.float32], value: wp.float32) -> wp.int32:
     """The last index whose cumulated chance does not exceed ``value``."""
     low = wp.int32(0)
     high = wp.int32(rows.shape[0] - 1)
@@ -167,7 +169,7 @@ def _find_row(rows: wp.array(dtype=wp.float32), value: wp.float32) -> wp.int32:
 
 
 @wp.func
-def _find_column(columns: wp.array2d(dtype=wp.float32), row: wp.int32, value: wp.float32) -> wp.int32:
+def _find_column(columns: wp.array2d[wp.float32], row: wp.int32, value: wp.float32) -> wp.int32:
     """As `_find_row`, within a row."""
     low = wp.int32(0)
     high = wp.int32(columns.shape[1] - 1)
@@ -182,9 +184,7 @@ def _find_column(columns: wp.array2d(dtype=wp.float32), row: wp.int32, value: wp
 
 @wp.func
 def sample_sky(sky: Sky, u: wp.vec2) -> SkySample:
-    """Draw a direction by brightness; what is left of each number after choosing the texel places it
-    within.
-    """
+    """Draw a direction by brightness; what choosing the texel leaves of each number places it within."""
     height = sky.density.shape[0]
     width = sky.density.shape[1]
     row = _find_row(sky.rows, u[0])
@@ -219,8 +219,9 @@ def _reverse_bits(value: wp.uint32) -> wp.uint32:
 
 @wp.func
 def _permute(value: wp.uint32, seed: wp.uint32) -> wp.uint32:
-    """Owen's scrambling of reversed bits by a hash in which each bit depends on lower ones alone (Laine and
-    Karras, 2011).
+    """Owen's scrambling of reversed bits by a hash (Laine and Karras, 2011).
+
+    In it each bit depends on lower ones alone.
     """
     x = value + seed
     x = x ^ (x * _HASH_0)
@@ -245,10 +246,10 @@ def _second_sobol(index: wp.uint32) -> wp.uint32:
 
 @wp.func
 def draw_point(index: wp.int32, seed: wp.uint32) -> wp.vec2:
-    """Point ``index`` of a sequence in [0, 1)^2 whose first 2^n points are stratified; seeds give unrelated
-    orders and scramblings.
+    """Point ``index`` of a sequence in [0, 1)^2 whose first 2^n points are stratified.
 
-    Shuffled, scrambled Sobol points (Burley, Practical Hash-based Owen Scrambling, 2020).
+    Seeds give unrelated orders and scramblings. Shuffled, scrambled Sobol points (Burley, Practical
+    Hash-based Owen Scrambling, 2020).
     """
     state = wp.rand_init(wp.int32(seed), 0)
     shuffled = _reverse_bits(_permute(_reverse_bits(wp.uint32(index)), wp.randu(state)))
@@ -260,11 +261,11 @@ def draw_point(index: wp.int32, seed: wp.uint32) -> wp.vec2:
 
 @wp.func
 def sample_lit_sky(sky: Sky, normal: wp.vec3, number: wp.int32, seed: wp.uint32) -> SkySample:
-    """A direction drawn by brightness and by its cosine with a unit normal; density 0 where none of the
-    candidates lies above it.
+    """A direction drawn by brightness and by its cosine with a unit normal.
 
-    One of some candidates by brightness, chosen by their cosines: resampled importance sampling (Talbot,
-    Cline and Egbert, 2005). What is called density makes radiance x cosine / density an unbiased estimate.
+    Its density is 0 where none of the candidates lies above the surface. One of some candidates by
+    brightness, chosen by their cosines: resampled importance sampling (Talbot, Cline and Egbert, 2005). What
+    is called density makes radiance x cosine / density an unbiased estimate.
     """
     # number 0 is what scrambles the points
     state = wp.rand_init(wp.int32(seed), number + 1)

@@ -23,7 +23,7 @@ SCATTER = wp.constant(wp.vec3(0.75, 0.4, 0.2))
 
 
 @wp.struct
-class Surface:
+class LitPoint:
     """A point of the head as light meets it, in world space.
 
     Attributes:
@@ -71,7 +71,7 @@ def _slope_term(cosine: wp.float32, alpha: wp.float32) -> wp.float32:
 
 
 @wp.func
-def channel_normal(surface: Surface, channel: wp.int32) -> wp.vec3:
+def channel_normal(surface: LitPoint, channel: wp.int32) -> wp.vec3:
     """The normal whose cosine a channel's diffuse light follows.
 
     The further light travels below, the less of the bumps is in it. It is shorter than 1 where the two
@@ -81,7 +81,7 @@ def channel_normal(surface: Surface, channel: wp.int32) -> wp.vec3:
 
 
 @wp.func
-def reflect_diffuse(surface: Surface, light: wp.vec3) -> wp.vec3:
+def reflect_diffuse(surface: LitPoint, light: wp.vec3) -> wp.vec3:
     """The diffuse reflectance function times the cosine for light from a unit direction."""
     cosines = wp.vec3(
         wp.max(wp.dot(channel_normal(surface, 0), light), 0.0),
@@ -92,7 +92,7 @@ def reflect_diffuse(surface: Surface, light: wp.vec3) -> wp.vec3:
 
 
 @wp.func
-def reflect_specular(surface: Surface, light: wp.vec3) -> wp.float32:
+def reflect_specular(surface: LitPoint, light: wp.vec3) -> wp.float32:
     """The specular reflectance function times the cosine for light from a unit direction."""
     normal_light = wp.dot(surface.normal, light)
     normal_view = wp.dot(surface.normal, surface.view)
@@ -106,7 +106,7 @@ def reflect_specular(surface: Surface, light: wp.vec3) -> wp.float32:
 
 
 @wp.func
-def lobe_density(surface: Surface, light: wp.vec3) -> wp.float32:
+def lobe_density(surface: LitPoint, light: wp.vec3) -> wp.float32:
     """Chance per steradian that `sample_lobe` draws a direction.
 
     Diffuse directions are drawn about both normals: about one alone, those that lie low over it but not over
@@ -135,7 +135,7 @@ def sample_cosine(normal: wp.vec3, u: wp.vec2) -> wp.vec3:
 
 
 @wp.func
-def sample_lobe(surface: Surface, u: wp.vec2) -> wp.vec3:
+def sample_lobe(surface: LitPoint, u: wp.vec2) -> wp.vec3:
     """A unit direction from the mixture of both lobes; below the surface it counts nothing."""
     if u[0] >= SPECULAR_SHARE:
         half_share = 2.0 * wp.min((u[0] - SPECULAR_SHARE) / (1.0 - SPECULAR_SHARE), 1.0)

@@ -12,7 +12,7 @@ from torch import Tensor
 from samira_warp.geometry.camera import Camera
 
 
-class Gaussians(NamedTuple):
+class RasterInputs(NamedTuple):
     """What `rasterize` takes: see there."""
 
     means: Tensor
@@ -45,9 +45,11 @@ class Disc:
         generator = torch.Generator().manual_seed(channels)
         return torch.rand(len(self.means), channels, generator=generator).to(self.means)
 
-    def gaussians(self, channels: int) -> Gaussians:
+    def raster_inputs(self, channels: int) -> RasterInputs:
         """The Gaussians with C features."""
-        return Gaussians(self.means, self.quaternions, self.scales, self.opacities, self.features(channels))
+        return RasterInputs(
+            self.means, self.quaternions, self.scales, self.opacities, self.features(channels)
+        )
 
     def image_gradients(self, channels: int) -> tuple[Tensor, Tensor]:
         """Normal (H, W, C) and (H, W): a loss's gradients by the blended features and transmittance."""

@@ -56,7 +56,7 @@ def _measure(gsplat: ModuleType, disc: Disc, channels: int) -> GsplatTimes:
     intrinsics = torch.tensor(
         [[camera.fx, 0.0, camera.cx], [0.0, camera.fy, camera.cy], [0.0, 0.0, 1.0]], device=device
     )
-    gaussians = disc.gaussians(channels)
+    gaussians = disc.raster_inputs(channels)
     view = (camera.world_to_camera[None], intrinsics[None], camera.width, camera.height)
 
     @torch.no_grad()

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple, TypeVar
 import torch
 from torch import Tensor
 
-from samira_warp.bench.disc import Disc, Gaussians, make_disc
+from samira_warp.bench.disc import Disc, RasterInputs, make_disc
 from samira_warp.bench.gsplat_peer import GsplatTimes, gsplat_times
 from samira_warp.bench.memory import peak_bytes
 from samira_warp.bench.timing import hardware, least_ms
@@ -31,7 +31,7 @@ from samira_warp.surface import SURFACE_WIDTH
 GBUFFER_CHANNELS = SURFACE_WIDTH + 1
 """Those of the surface, and depth."""
 
-Inputs = TypeVar("Inputs", Gaussians, "Splats")
+Inputs = TypeVar("Inputs", RasterInputs, "BlendInputs")
 """What the whole operator takes, or blending alone."""
 
 REPEATS = 5
@@ -247,7 +247,7 @@ def stage_times(disc: Disc, channels: int) -> StageTimes:
     """Time preparation, blending and its adjoint, each by itself."""
     projection, bins = _prepare(disc)
     device, grad_image = disc.means.device, disc.image_gradients(channels)
-    leaves = _wanting_gradients(_splats(disc, projection, channels))
+    leaves = _wanting_gradients(_blend_inputs(disc, projection, channels))
 
     def blended() -> Blended:
         return blend(*leaves, bins, width=disc.camera.width, height=disc.camera.height)
@@ -268,7 +268,7 @@ def stage_times(disc: Disc, channels: int) -> StageTimes:
 def dispatch_times(device: torch.device) -> Times:
     """Time the whole operator on one Gaussian in an image of one tile: next to nothing to compute."""
     disc = make_disc(1, TILE, device)
-    leaves, grad_image = _wanting_gradients(disc.gaussians(3)), disc.image_gradients(3)
+    leaves, grad_image = _wanting_gradients(disc.raster_inputs(3)), disc.image_gradients(3)
     found = rasterize(*leaves, disc.camera)
     return Times(
         least_ms(lambda: rasterize(*leaves, disc.camera), device, repeats=DISPATCH_REPEATS),
@@ -282,7 +282,7 @@ def dispatch_times(device: torch.device) -> Times:
 
 def operator_peak_bytes(disc: Disc, channels: int) -> int:
     """Peak bytes of the whole operator, there and back, above its inputs and the gradients it gets."""
-    leaves, grad_image = _wanting_gradients(disc.gaussians(channels)), disc.image_gradients(channels)
+    leaves, grad_image = _wanting_gradients(disc.raster_inputs(channels)), disc.image_gradients(channels)
 
     def there_and_back() -> None:
         found = rasterize(*leaves, disc.camera)
@@ -293,13 +293,13 @@ def operator_peak_bytes(disc: Disc, channels: int) -> int:
 
 def _plain_times(disc: Disc, channels: int) -> Times:
     projection, bins = _prepare(disc)
-    splats, device = _splats(disc, projection, channels), disc.means.device
+    inputs, device = _blend_inputs(disc, projection, channels), disc.means.device
     grad_features, grad_transmittance = disc.image_gradients(channels)
     gaussians = bins.gaussians
 
     def blended() -> Blended:
         return blending_plain.blend(
-            *splats, bins, gaussians, width=disc.camera.width, height=disc.camera.height
+            *inputs, bins, gaussians, width=disc.camera.width, height=disc.camera.height
         )
 
     image = blended()
@@ -307,7 +307,7 @@ def _plain_times(disc: Disc, channels: int) -> Times:
         least_ms(blended, device, repeats=REPEATS),
         least_ms(
             lambda: blending_plain.blend_adjoint(
-                *splats, bins, gaussians, image, grad_features, grad_transmittance
+                *inputs, bins, gaussians, image, grad_features, grad_transmittance
             ),
             device,
             repeats=REPEATS,
@@ -315,7 +315,7 @@ def _plain_times(disc: Disc, channels: int) -> Times:
     )
 
 
-class Splats(NamedTuple):
+class BlendInputs(NamedTuple):
     """What `blend` takes: see there."""
 
     means2d: Tensor
@@ -330,8 +330,8 @@ def _prepare(disc: Disc) -> tuple[Projection, TileBins]:
     return projection, bins
 
 
-def _splats(disc: Disc, projection: Projection, channels: int) -> Splats:
-    return Splats(projection.means2d, projection.conics, disc.opacities, disc.features(channels))
+def _blend_inputs(disc: Disc, projection: Projection, channels: int) -> BlendInputs:
+    return BlendInputs(projection.means2d, projection.conics, disc.opacities, disc.features(channels))
 
 
 def _wanting_gradients(inputs: Inputs) -> Inputs:

@@ -186,19 +186,19 @@ def test_wrong_tensors_are_named_with_what_was_expected(device):
         with pytest.raises(UserError, match=r"vertices: expected float32 tensor of shape \(V, 3\)"):
             RayMesh(wrong, faces)
     for wrong in (faces[0], faces.to("meta")):
-        with pytest.raises(UserError, match=r"faces: expected any tensor of shape \(F, 3\) on"):
+        with pytest.raises(UserError, match=r"faces: expected integer tensor of shape \(F, 3\)"):
             RayMesh(vertices, wrong)
     for wrong, found in ((faces.float(), "float32"), (faces.bool(), "bool")):
-        with pytest.raises(UserError, match=f"faces: expected integer vertex ids, found {found}"):
+        with pytest.raises(
+            UserError, match=rf"faces: expected integer tensor of shape \(F, 3\), found {found}"
+        ):
             RayMesh(vertices, wrong)
     for wrong, found in ((faces + 1, "1 to 3"), (faces - 1, "-1 to 1")):
-        with pytest.raises(UserError, match=f"faces: expected ids of 3 vertices, found {found}"):
+        with pytest.raises(UserError, match=f"faces: expected ids 0 to 2, found {found}"):
             RayMesh(vertices, wrong)
     mesh = RayMesh(vertices, faces)
     for wrong in (vertices[:2], vertices.double(), vertices.to("meta")):
-        with pytest.raises(
-            UserError, match=rf"vertices: expected float32 tensor of shape \(3, 3\) on {device.type}"
-        ):
+        with pytest.raises(UserError, match=r"vertices: expected float32 tensor of shape \(3, 3\)"):
             mesh.refit(wrong)
 
 

@@ -3,13 +3,13 @@
 import warp as wp
 
 from samira_subject.raycaster_sampling import draw_point
-from samira_subject.shading import Surface, lobe_density, sample_lobe
+from samira_subject.shading import LitPoint, lobe_density, sample_lobe
 
 
 @wp.func
-def bumpy(normal: wp.vec3, view: wp.vec3, roughness: wp.float32) -> Surface:
+def bumpy(normal: wp.vec3, view: wp.vec3, roughness: wp.float32) -> LitPoint:
     """A surface that faces +z but for its bumps."""
-    surface = Surface()
+    surface = LitPoint()
     surface.view = view
     surface.normal = normal
     surface.smooth_normal = wp.vec3(0.0, 0.0, 1.0)
@@ -22,11 +22,11 @@ def bumpy(normal: wp.vec3, view: wp.vec3, roughness: wp.float32) -> Surface:
 @wp.kernel(enable_backward=False)
 def densities(
     first: wp.int32,
-    lights: wp.array(dtype=wp.vec3),
+    lights: wp.array[wp.vec3],
     normal: wp.vec3,
     view: wp.vec3,
     roughness: wp.float32,
-    found: wp.array(dtype=wp.float32),
+    found: wp.array[wp.float32],
 ):
     index = first + wp.tid()
     found[index] = lobe_density(bumpy(normal, view, roughness), lights[index])
@@ -39,7 +39,7 @@ def directions(
     normal: wp.vec3,
     view: wp.vec3,
     roughness: wp.float32,
-    found: wp.array(dtype=wp.vec3),
+    found: wp.array[wp.vec3],
 ):
     index = first + wp.tid()
     found[index] = sample_lobe(bumpy(normal, view, roughness), draw_point(index, seed))

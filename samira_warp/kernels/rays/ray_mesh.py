@@ -10,9 +10,7 @@ from torch import Tensor
 
 from samira_warp.kernels.runtime import stream_of, warp_array
 from samira_warp.support.errors import UserError
-from samira_warp.support.validation import check_tensor
-
-_ID_TYPES = (torch.uint8, torch.int8, torch.int16, torch.int32, torch.int64)
+from samira_warp.support.validation import check_ids, check_tensor
 
 
 class RayMesh:
@@ -50,9 +48,8 @@ class RayMesh:
                 that is not there.
         """
         check_tensor("vertices", vertices, shape=("V", 3))
-        check_tensor("faces", faces, shape=("F", 3), dtype=None, device=vertices.device)
+        check_ids("faces", faces, shape=("F", 3), count=len(vertices), device=vertices.device)
         _check_finite(vertices)
-        _check_ids(faces, count=len(vertices))
         # `refit` writes into the vertices: they must be no tensors of an inference mode
         with torch.inference_mode(False):
             self.vertices = vertices.detach().clone(memory_format=torch.contiguous_format)
@@ -101,15 +98,6 @@ def _check_finite(vertices: Tensor) -> None:
         first = int(finite.logical_not().nonzero()[0])
         raise UserError(
             "vertices", expected="finite coordinates", found=f"{vertices[first].tolist()} at vertex {first}"
-        )
-
-
-def _check_ids(faces: Tensor, *, count: int) -> None:
-    if faces.dtype not in _ID_TYPES:
-        raise UserError("faces", expected="integer vertex ids", found=str(faces.dtype).removeprefix("torch."))
-    if len(faces) and not 0 <= int(faces.min()) <= int(faces.max()) < count:
-        raise UserError(
-            "faces", expected=f"ids of {count} vertices", found=f"{int(faces.min())} to {int(faces.max())}"
         )
 
 

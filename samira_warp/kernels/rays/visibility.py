@@ -8,10 +8,10 @@ from torch import Tensor
 
 from samira_warp.kernels.rays.ray_mesh import RayMesh
 from samira_warp.kernels.runtime import launch_range
-from samira_warp.support.validation import check_tensor
+from samira_warp.support.validation import check_tensors
 
-_GRAIN = 1024
-"""Fewer rays than this cost less than handing them to a thread."""
+GRAIN = 1024
+"""Rays that are worth a thread."""
 
 
 def visible(points: Tensor, mesh: RayMesh, *, origin: Tensor, offset: float = 1e-4) -> Tensor:
@@ -32,19 +32,10 @@ def visible(points: Tensor, mesh: RayMesh, *, origin: Tensor, offset: float = 1e
         UserError: A tensor has another shape, dtype or device.
     """
     device = mesh.vertices.device
-    check_tensor("points", points, shape=("M", 3), device=device)
-    check_tensor("origin", origin, shape=(3,), device=device)
+    check_tensors(("points", points, ("M", 3)), ("origin", origin, (3,)), device=device)
     result = torch.ones(points.shape[0], dtype=torch.bool, device=device)
-    launch_range(
-        _visible,
-        points.shape[0],
-        points.contiguous(),
-        origin.contiguous(),
-        mesh.id,
-        offset,
-        result,
-        grain=_GRAIN,
-    )
+    inputs = (points.contiguous(), origin.contiguous(), mesh.id, offset)
+    launch_range(_visible, points.shape[0], *inputs, result, grain=GRAIN)
     return result
 
 

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import torch
 import warp as wp
+from torch import Tensor
 
 from samira_warp.kernels.runtime.loading import load
 from samira_warp.kernels.runtime.streams import current_stream
@@ -49,7 +50,7 @@ class Command:
                 f"{self._kernel.key} takes {len(self._parameters)} arguments, not {len(arguments)}"
             )
         return [
-            self._describe(index, argument) if isinstance(argument, torch.Tensor) else argument
+            self._describe(index, argument) if isinstance(argument, Tensor) else argument
             for index, argument in enumerate(arguments)
         ]
 
@@ -75,7 +76,7 @@ class Command:
             self._dim = dim
         self._launch.launch(stream=current_stream(self._device) if self._device.type == "cuda" else None)
 
-    def _describe(self, index: int, tensor: torch.Tensor) -> Any:
+    def _describe(self, index: int, tensor: Tensor) -> Any:
         layout = self._layouts[index]
         shape = tensor.shape
         if (
@@ -96,7 +97,7 @@ class Command:
         descriptor.data = tensor.data_ptr()
         return descriptor
 
-    def _learn(self, index: int, tensor: torch.Tensor) -> Any:
+    def _learn(self, index: int, tensor: Tensor) -> Any:
         """Warp's own conversion, with its checks, and its layout for the next time."""
         kind = self._parameters[index].type
         descriptor = wp.from_torch(tensor.detach(), dtype=kind.dtype, return_ctype=True, requires_grad=False)

@@ -12,6 +12,7 @@ from typing import Any
 
 import torch
 import warp as wp
+from torch import Tensor
 
 from samira_warp.kernels.runtime.commands import command_of
 from samira_warp.support.warp_start import start_warp
@@ -77,7 +78,7 @@ def launch_range(kernel: wp.Kernel, count: int, *arguments: Any, grain: int = 1)
         helper.result()
 
 
-def warp_array(tensor: torch.Tensor, dtype: Any = None) -> wp.array:
+def warp_array(tensor: Tensor, dtype: Any = None) -> wp.array:
     """A Warp view of a tensor, for `wp.utils` functions, which take arrays rather than descriptors."""
     start_warp()
     return wp.from_torch(tensor.detach(), dtype=dtype, requires_grad=False)
@@ -99,6 +100,6 @@ def _forget_pools_in_children() -> None:
 
 def _device_of(arguments: tuple[Any, ...]) -> torch.device:
     for argument in arguments:
-        if isinstance(argument, torch.Tensor):
+        if isinstance(argument, Tensor):
             return argument.device
     raise TypeError("a launch needs at least one tensor argument to tell its device")

@@ -38,8 +38,8 @@ from samira_warp.support.constants import COVERED_ALPHA
 from samira_warp.support.validation import check_tensors
 from samira_warp.surface import CHANNELS, Surface
 
-_GRAIN = 2048
-"""Fewer points than this cost less than handing them to a thread."""
+GRAIN = 2048
+"""Points that are worth a thread."""
 
 _COVERED = wp.constant(COVERED_ALPHA)
 
@@ -224,7 +224,7 @@ def _by_kernel(tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
 
 def _launch(kernel: wp.Kernel, count: int, values: Mapping[str, Any]) -> None:
     """Run a kernel over points with the values that its parameters are named after."""
-    launch_range(kernel, count, *(values[name] for name in _parameters(kernel)), grain=_GRAIN)
+    launch_range(kernel, count, *(values[name] for name in _parameters(kernel)), grain=GRAIN)
 
 
 @functools.cache
@@ -401,7 +401,7 @@ def _look_up_again(
     table: wp.array2d[wp.int32],
     point: FacePoint,
     level: wp.float32,
-    grad: wp.vec3,
+    grad_value: wp.vec3,
     m: wp.int32,
     cells: wp.array2d[wp.int32],
     places: wp.array2d[wp.vec3],
@@ -416,8 +416,8 @@ def _look_up_again(
         texels = read_cell(mips, table[lower + slot, 1], cell, size)
         value = blend_cell(cell, texels)
         result.light += share * value
-        result.slope += 0.5 * wp.float32(size) * share * cell_slope(cell, texels, grad)
-        result.grad_level += wp.where(slot == 0, -1.0, 1.0) * wp.dot(value, grad)
+        result.slope += 0.5 * wp.float32(size) * share * cell_slope(cell, texels, grad_value)
+        result.grad_level += wp.where(slot == 0, -1.0, 1.0) * wp.dot(value, grad_value)
         cells[m, slot] = table[lower + slot, 2] + cell_index(cell, size)
         places[m, slot] = wp.vec3(cell.x, cell.y, share)
     return result
