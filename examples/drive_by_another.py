@@ -3,8 +3,9 @@
     python tools/make_subject.py --seed 7 --train 1 --test 24 --relit 0 --resolution 64 --out person_7
     python examples/drive_by_another.py --avatar runs/built_in --data person_7 --out driven
 
-Every frame becomes OUT/NAME.png: the other person as filmed beside the avatar. Both are taken relative to their neutral
-faces; expressions are matched by name where the heads differ; poses are held to what the avatar was trained on.
+Every frame becomes OUT/NAME.png: the other person as filmed beside the avatar. Both are taken relative to
+their neutral faces; expressions are matched by name where the heads differ; poses are held to what the avatar
+was trained on.
 """
 
 from __future__ import annotations

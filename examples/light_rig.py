@@ -2,9 +2,9 @@
 
     python examples/light_rig.py --avatar runs/built_in --out rig
 
-A light is radiance all around: here a panorama that is a tensor, painted lamp by lamp, with no file behind it. Light
-adds up, so the picture under all lamps is, before it is encoded, the sum of the pictures under each. Turning a light
-and exposing it cost nothing: what was filtered stays.
+A light is radiance all around: here a panorama that is a tensor, painted lamp by lamp, no file behind it.
+Light adds up, so the picture under all lamps is, before it is encoded, the sum of the pictures under each.
+Turning a light and exposing it cost nothing: what was filtered stays.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ RIG = {
     "fill": Lamp(-55.0, 5.0, 30.0, (0.30, 0.34, 0.42)),
     "rim": Lamp(-150.0, 30.0, 10.0, (1.6, 1.8, 2.1)),
 }
-"""A warm key from the subject's upper left, a wide cool fill opposite, and a lamp behind that draws the outline."""
+"""A warm key from the subject's upper left, a wide cool fill opposite, a lamp behind for the outline."""
 
 
 @dataclass(frozen=True)

@@ -3,9 +3,9 @@
     python examples/train_and_relight.py --out runs/example
     python examples/train_and_relight.py --out runs/mine --data FOLDER --light studio.hdr forest.exr
 
-Without --data that is the built-in subject: some twelve minutes on two cores, four of which make it, once. The run
-folder is OUT, and OUT/relit.png shows a frame that did not train: its albedo, its normals, and the head under the light
-that was learned with it and under each of the others.
+Without --data that is the built-in subject: some twelve minutes on two cores, four of which make it, once.
+The run folder is OUT, and OUT/relit.png shows a frame that did not train: its albedo, its normals, and the head
+under the light that was learned with it and under each of the others.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import tyro
 
 from samira_warp import Avatar, Environment, read_frames
 from samira_warp.io import write_png
-from samira_warp.stage import contact_sheet
+from samira_warp.stage import contact_sheet, layer_image
 from samira_warp.train import TrainConfig, train
 
 LIGHTS = Path(__file__).parents[1] / "samira_warp" / "assets" / "lights"
@@ -48,9 +48,8 @@ def relit(avatar: Avatar, lights: tuple[Path, ...], picture: Path) -> None:
     """Write a sheet of the first test frame: what it is made of, and under every light."""
     frame = next(frame for frame in read_frames(picture.parent) if frame.part == "test")
     learned = avatar.render(frame.parameters, frame.camera)
-    normal = torch.lerp(torch.full_like(learned.image, 0.5), 0.5 + 0.5 * learned.gbuffer.normal, learned.gbuffer.alpha)
-    albedo = torch.lerp(torch.ones_like(learned.image), learned.albedo, learned.gbuffer.alpha)
-    pictures = {"albedo": albedo, "normal": normal, "the learned light": learned.image}
+    pictures = {name: layer_image(learned, name).picture for name in ("albedo", "normal")}
+    pictures["the learned light"] = learned.image
     for path in lights:
         # Every light at one brightness: its irradiance, averaged over all directions, is 1.
         light = Environment.load(path, exposure="auto")

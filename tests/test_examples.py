@@ -17,11 +17,10 @@ EXAMPLES = TESTS.parent / "examples"
 
 
 def run_example(name, *options, folder):
-    """The program in a process of its own, whose working directory is not the repository; its standard error."""
+    """The program in a process of its own, whose working directory is not the repository."""
     command = [sys.executable, str(EXAMPLES / name), *map(str, options)]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr
-    return done.stderr
 
 
 def pictures_in(folder):
@@ -90,8 +89,7 @@ def test_a_stop_doubles_the_light(rig):
 
 
 def test_the_rig_lights_the_side_that_it_is_turned_to(rig):
-    """The key stands to the subject's left, which is the picture's right; half a turn takes it behind, and the
-    rim, which was behind on the other side, before the face."""
+    """The key stands to the subject's left, which is the picture's right; half a turn takes it behind."""
     _, width, _ = rig["key"].shape
     left, right = rig["key"][:, : width // 2].mean(), rig["key"][:, width // 2 :].mean()
     assert right > 1.2 * left

@@ -1,7 +1,7 @@
 """The README's commands, run as they are printed and in their order, by a newcomer with an empty home.
 
-The built-in subject that would be made in minutes is a smaller one of the same person, found in the cache; the
-commands do not know.
+The built-in subject that would be made in minutes is a smaller one of the same person, found in the cache:
+the commands do not know.
 """
 
 import json
@@ -23,7 +23,7 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 
 NOT_RUN = {
     "pip install -c constraints.txt -e '.[test]' && python -m pytest": "it runs this test",
-    "samira-warp prepare VIDEO --out DIR": "tests/prepare runs it with stand-ins for the programs that it calls",
+    "samira-warp prepare VIDEO --out DIR": "tests/prepare runs it, with stand-ins for what it calls",
 }
 """Commands that are not run here, and why."""
 
@@ -43,7 +43,7 @@ def python_block():
 
 
 class Newcomer:
-    """A shell in a folder that holds what a clone holds, with a home of its own and `samira-warp` installed."""
+    """A shell in a folder that holds what a clone holds, with a home of its own and the package installed."""
 
     def __init__(self, folder, subject):
         self.folder = folder / "clone"

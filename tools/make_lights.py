@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import OpenImageIO as oiio
+import OpenImageIO
 import torch
 
 from samira_subject.sky import SKIES, paint_sky
@@ -52,7 +52,7 @@ def exposed(radiance: torch.Tensor) -> torch.Tensor:
 
 
 def _write_hdr(path: Path, pixels: np.ndarray) -> None:
-    picture = oiio.ImageBuf(np.ascontiguousarray(pixels))
+    picture = OpenImageIO.ImageBuf(np.ascontiguousarray(pixels))
     if not picture.write(str(path)):
         raise OSError(f"{path}: cannot be written: {picture.geterror()}")
 
