@@ -4,8 +4,8 @@
     python examples/train_and_relight.py --out runs/mine --data FOLDER --light studio.hdr forest.exr
 
 Without --data that is the built-in subject: some twelve minutes on two cores, four of which make it, once.
-The run folder is OUT, and OUT/relit.png shows a frame that did not train: its albedo, its normals, and the head
-under the light that was learned with it and under each of the others.
+The run folder is OUT, and OUT/relit.png shows a frame that did not train: its albedo, its normals, and the
+head under the light that was learned with it and under each of the others.
 """
 
 from __future__ import annotations

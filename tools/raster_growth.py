@@ -1,20 +1,21 @@
 """Measure how the rasteriser's time grows: a table, and a plot.
 
-It grows with Gaussians, pixels, channels and culled Gaussians.
+It grows with Gaussians, pixels, channels and culled Gaussians. The plot is drawn with matplotlib, which the extra
+`test` brings.
 
 usage: python tools/raster_growth.py --out FILE.png [--device NAME]
 """
 
 from __future__ import annotations
 
+import importlib.util
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import torch
-from matplotlib.figure import Figure
 
 from samira_warp.bench.disc import Disc, make_disc
 from samira_warp.bench.raster import StageTimes, stage_times
@@ -24,6 +25,9 @@ from samira_warp.support.constants import ALPHA_MIN
 from samira_warp.support.device_names import DeviceName
 from samira_warp.support.devices import pick_device
 from samira_warp.support.errors import UserError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 TRANSLUCENT = 0.1
 """Factor on the disc's opacities, so that pixels see all their Gaussians instead of stopping when they are
@@ -83,6 +87,9 @@ def main(config: GrowthConfig) -> None:
         )
     if not config.out.parent.is_dir():
         raise UserError(config.out.parent, expected="an existing folder", found="no such folder")
+    if importlib.util.find_spec("matplotlib") is None:
+        installed = "an installed package, to draw the plot with (pip install -e '.[test]')"
+        raise UserError("matplotlib", expected=installed, found="none")
     device = pick_device(config.device)
     measured: dict[str, list[StageTimes]] = {}
     print(f"{hardware(device)}\n")
@@ -127,6 +134,8 @@ def _per_intersection(times: StageTimes) -> float:
 
 def _plot(measured: dict[str, list[StageTimes]], title: str) -> Figure:
     """One panel per sweep, with what proportional to the intersections would be."""
+    from matplotlib.figure import Figure
+
     figure = Figure(figsize=(10, 7.5), layout="constrained")
     figure.suptitle(title)
     for axes, (name, points) in zip(figure.subplots(2, 2).flat, SWEEPS.items(), strict=True):

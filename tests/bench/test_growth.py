@@ -12,7 +12,6 @@ from samira_warp.support.constants import ALPHA_MIN
 
 @pytest.fixture
 def tool():
-    pytest.importorskip("matplotlib")
     spec = importlib.util.spec_from_file_location(
         "raster_growth", TESTS.parent / "tools" / "raster_growth.py"
     )
@@ -20,6 +19,17 @@ def tool():
     sys.modules["raster_growth"] = module
     spec.loader.exec_module(module)
     return module
+
+
+def test_without_matplotlib_one_line_says_what_to_install(tool, monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr(tool.importlib.util, "find_spec", lambda name: None)
+    arguments = ["--out", str(tmp_path / "growth.png"), "--device", "cpu"]
+    assert tool.run(tool.main, tool.GrowthConfig, program="raster_growth", arguments=arguments) == 2
+    said = capsys.readouterr()
+    assert said.out == ""  # nothing was measured first
+    (line,) = said.err.strip().splitlines()
+    assert "matplotlib" in line
+    assert "pip install" in line
 
 
 def test_table_and_plot(tool, monkeypatch, tmp_path, capsys):
