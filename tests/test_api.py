@@ -76,7 +76,7 @@ def test_each_symbol_says_what_it_is(room, name):
 
 
 def docstring_in(path, name):
-    """What the source says below a class or a function; what a decorator or a base makes up does not count."""
+    """What the source says below a class or a function; what a decorator or a base makes up is none."""
     with open(path, encoding="utf-8") as file:
         body = ast.parse(file.read()).body
     kinds = (ast.ClassDef, ast.FunctionDef)
