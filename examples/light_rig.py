@@ -88,12 +88,12 @@ def main(options: Options) -> None:
     """Render one frame under every light."""
     avatar = Avatar.load(options.avatar)
     frame = read_frames(options.avatar)[options.frame]
-    lamps = {name: Environment.from_panorama(lamp.radiance()) for name, lamp in RIG.items()}
-    rig = Environment.from_panorama(sum(lamp.radiance() for lamp in RIG.values()))
+    lamps = {name: Environment.from_panorama(lamp.radiance(), size=HEIGHT) for name, lamp in RIG.items()}
+    rig = Environment.from_panorama(sum(lamp.radiance() for lamp in RIG.values()), size=HEIGHT)
     lights = {name: lamp.filtered() for name, lamp in lamps.items()}
     whole = lights["all"] = rig.filtered()
-    lights |= {f"turned {degrees:g}": whole.turned(degrees) for degrees in options.turns}
-    lights |= {f"exposed {stops:+g}": whole.exposed(2.0**stops) for stops in options.stops}
+    lights |= {f"turned_{degrees:g}": whole.turned(degrees) for degrees in options.turns}
+    lights |= {f"stops_{stops:g}": whole.exposed(2.0**stops) for stops in options.stops}
 
     # The head is moved and rasterised once: only the light changes.
     motion = avatar.move(frame.parameters)

@@ -39,6 +39,8 @@ class Options:
     """Panoramas or cube crosses to relight with."""
     max_steps: int | None = None
     """End training after so many steps; a dozen show that everything is in place, and nothing more."""
+    gaussians: int | None = None
+    """Gaussians at the start; default what the machine is good for."""
     resolution: int | None = None
     """Longer side of the pictures, pixels; default what the machine is good for."""
 
@@ -52,7 +54,7 @@ def relit(avatar: Avatar, lights: tuple[Path, ...], picture: Path) -> None:
     pictures["the learned light"] = learned.image
     for path in lights:
         # Every light at one brightness: its irradiance, averaged over all directions, is 1.
-        light = Environment.load(path, exposure="auto")
+        light = Environment.load(path, exposure="auto", size=128)
         pictures[path.stem] = avatar.render(frame.parameters, frame.camera, light).image
     write_png(picture, contact_sheet([values.cpu().numpy() for values in pictures.values()], list(pictures)))
 
@@ -65,6 +67,7 @@ def main(options: Options) -> None:
             flame=options.flame,
             out=options.out,
             max_steps=options.max_steps,
+            gaussians=options.gaussians,
             resolution=options.resolution,
         )
     )
