@@ -71,7 +71,7 @@ def test_each_symbol_has_one_path():
 def test_each_symbol_says_what_it_is(room, name):
     symbol = getattr(importlib.import_module(room), name)
     if inspect.isclass(symbol) or inspect.isfunction(symbol):
-        written = docstring_in(inspect.getsourcefile(symbol), symbol.__name__)
+        written = docstring_in(inspect.getsourcefile(inspect.unwrap(symbol)), symbol.__name__)
     elif name == "__version__":
         return
     else:

@@ -16,7 +16,7 @@ VERBS = ("check", "prepare", "train", "render", "export", "evaluate", "bench")
 
 COMMAND = re.compile(r"(?:samira-warp |python -m samira_warp\.)(?P<verb>\w+)(?P<rest>[^`\n]*)")
 TOOL = re.compile(r"python (?P<path>(?:tools|examples)/\w+\.py)(?P<rest>[^`\n]*)")
-PATH = re.compile(r"`([\w./]+/[\w./]*\w\.(?:py|md|toml|npz|png|hdr)|[\w/]+/)`")
+PATH = re.compile(r"`([\w./]+/[\w./]*\w\.(?:py|md)|[\w/]+/)`")
 
 
 def page_ids(path):
