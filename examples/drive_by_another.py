@@ -19,7 +19,7 @@ import torch
 import tyro
 
 from samira_warp import Avatar, Environment, open_sequence, read_frames
-from samira_warp.avatar import Driver, PoseRange, match_expressions
+from samira_warp.avatar import Driver, PoseRange, match_expressions, match_joints
 from samira_warp.data import load_pixels
 from samira_warp.io import write_png
 
@@ -53,12 +53,15 @@ def main(options: Options) -> None:
     """Render every frame beside the picture that drives it."""
     avatar = Avatar.load(options.avatar)
     sequence = open_sequence(options.data, flame=options.flame)
-    expressions = match_expressions(sequence.template, avatar.canonical.template, source=options.data)
-    if expressions.left_out:
-        print(f"note: the avatar has no expressions {', '.join(expressions.left_out)}", file=sys.stderr)
+    theirs, own = sequence.template, avatar.canonical.template
+    expressions, joints = match_expressions(theirs, own, source=options.data), match_joints(theirs, own)
+    for kind, left_out in (("expressions", expressions.left_out), ("joints", joints.left_out)):
+        if left_out:
+            print(f"note: the avatar has no {kind} {', '.join(left_out)}", file=sys.stderr)
     trained = [frame.parameters for frame in read_frames(options.avatar) if frame.part == "train"]
     neutral = None if options.neutral_frame is None else sequence.frames[options.neutral_frame].parameters
-    driver = Driver(expressions, neutral=neutral, gain=options.gain, seen=PoseRange.of(trained))
+    held = PoseRange.of(trained)
+    driver = Driver(theirs, expressions, joints, neutral=neutral, gain=options.gain, seen=held)
     # Filtered once for all frames.
     light = avatar.light() if options.light is None else Environment.load(options.light).filtered()
 

@@ -15,6 +15,8 @@ from typing import TYPE_CHECKING, Annotated, Literal, get_args
 if TYPE_CHECKING:
     from torch import Tensor
 
+__all__ = ["CHANNELS", "Channel", "Surface"]
+
 
 Blend = Literal["mean", "direction"]
 """What several Gaussians in one pixel come to: their weighted mean, or the direction of that mean, a unit

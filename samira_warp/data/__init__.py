@@ -4,7 +4,8 @@ from samira_warp.data.cache import PixelCache
 from samira_warp.data.formats import FORMATS, recognise
 from samira_warp.data.frames import Frame, FrameFiles, Listing, Sequence
 from samira_warp.data.pixels import FramePixels, load_pixels
-from samira_warp.data.sequence import open_listing, open_sequence
+from samira_warp.data.sequence import open_listing
+from samira_warp.data.sequence import open_sequence as open_sequence  # public as samira_warp.open_sequence
 
 __all__ = [
     "FORMATS",
@@ -16,6 +17,5 @@ __all__ = [
     "Sequence",
     "load_pixels",
     "open_listing",
-    "open_sequence",
     "recognise",
 ]
