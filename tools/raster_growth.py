@@ -1,7 +1,7 @@
 """Measure how the rasteriser's time grows: a table, and a plot.
 
-It grows with Gaussians, pixels, channels and culled Gaussians. The plot is drawn with matplotlib, which the extra
-`test` brings.
+It grows with Gaussians, pixels, channels and culled Gaussians. The plot is drawn with matplotlib, which the
+extra `test` brings.
 
 usage: python tools/raster_growth.py --out FILE.png [--device NAME]
 """

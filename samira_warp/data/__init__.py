@@ -6,6 +6,7 @@ from samira_warp.data.frames import Frame, FrameFiles, Listing, Sequence
 from samira_warp.data.pixels import FramePixels, load_pixels
 from samira_warp.data.sequence import open_listing
 from samira_warp.data.sequence import open_sequence as open_sequence  # public as samira_warp.open_sequence
+from samira_warp.data.subjects import MadeSubject, made_subject
 
 __all__ = [
     "FORMATS",
@@ -13,9 +14,11 @@ __all__ = [
     "FrameFiles",
     "FramePixels",
     "Listing",
+    "MadeSubject",
     "PixelCache",
     "Sequence",
     "load_pixels",
+    "made_subject",
     "open_listing",
     "recognise",
 ]
