@@ -9,8 +9,8 @@ import torch
 from samira_warp.bench.subject import make_avatar, make_camera, make_parameters
 from samira_warp.bench.timing import Stopwatch, hardware, print_table, repeat
 from samira_warp.head import FrameParameters
-from samira_warp.train.config import PRESETS, LossWeights
-from samira_warp.train.losses import Target, total_loss
+from samira_warp.train.config import PRESETS
+from samira_warp.train.losses import LossWeights, Target, total_loss
 from samira_warp.train.optimizer import make_optimizer, set_rates
 from samira_warp.train.tracking import TrackedParameters
 

@@ -87,6 +87,7 @@ def open_checked(root: Path, *, split: str = "dataset", flame: Path | None = Non
         UserError: As in open_sequence, with how many faults there are; or the head cannot be where the
             pictures show it.
     """
+    recognise(root)  # what is no dataset needs no head model either
     sequence: Sequence | None = None
     with collected_faults() as faults:
         sequence = open_sequence(root, split=split, flame=flame)

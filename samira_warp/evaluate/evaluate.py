@@ -5,15 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from samira_warp.evaluate import metrics
+from samira_warp.evaluate.config import Layer
 from samira_warp.evaluate.lpips import SMALLEST_IMAGE, Lpips
-
-Layer = Literal["image", "albedo", "normal"]
 
 PROTOCOL = {
     "psnr": f"dB over the whole frame, range 1, at most {metrics.PSNR_CAP:.0f}",

@@ -12,7 +12,8 @@ import torch
 from samira_warp.data import FrameFiles, Listing
 from samira_warp.data.pictures import is_hidden
 from samira_warp.data.pixels import load_mask, load_pixels
-from samira_warp.evaluate.evaluate import ImagePair, Layer
+from samira_warp.evaluate.config import Layer
+from samira_warp.evaluate.evaluate import ImagePair
 from samira_warp.io.files import read_json
 from samira_warp.io.images import read_labels, read_on_white, resize_box, resize_nearest
 from samira_warp.support.errors import UserError

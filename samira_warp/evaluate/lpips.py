@@ -6,14 +6,12 @@ import importlib.util
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import torch
 from torch import Tensor, nn
 
+from samira_warp.evaluate.config import LpipsNet
 from samira_warp.support.errors import UserError
-
-LpipsNet = Literal["vgg", "alex"]
 
 SMALLEST_IMAGE = 32
 """Pixels a side; below it AlexNet's last layers have nothing left to look at."""

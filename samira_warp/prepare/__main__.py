@@ -1,16 +1,18 @@
-"""``python -m samira_warp.prepare VIDEO --out DIR``: from a video to a dataset that can be trained on."""
+"""``samira-warp prepare``, or ``python -m samira_warp.prepare VIDEO --out DIR``: from a video to a dataset."""
 
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 
 from samira_warp.prepare.config import PrepareConfig
-from samira_warp.prepare.prepare import prepare
 from samira_warp.support.cli import run
 
 
 def main(config: PrepareConfig) -> None:
     """Prepare, and say how to go on."""
+    from samira_warp.prepare.prepare import prepare
+
     try:
         dataset = prepare(config)
     except KeyboardInterrupt:
@@ -19,5 +21,10 @@ def main(config: PrepareConfig) -> None:
     print(f"{dataset} is ready: python -m samira_warp.train --data {dataset} --flame FILE", file=sys.stderr)
 
 
+def command(arguments: Sequence[str] | None = None, program: str = "python -m samira_warp.prepare") -> int:
+    """The verb from its options to its exit status."""
+    return run(main, PrepareConfig, program=program, arguments=arguments)
+
+
 if __name__ == "__main__":
-    sys.exit(run(main, PrepareConfig, program="python -m samira_warp.prepare"))
+    sys.exit(command())

@@ -8,7 +8,6 @@ from pathlib import Path
 
 from tyro.conf import Positional
 
-from samira_warp.prepare.crop import Crop
 from samira_warp.support.device_names import DeviceName
 from samira_warp.support.errors import UserError
 
@@ -61,20 +60,3 @@ class PrepareConfig:
             folder = getattr(self, name)
             if folder is not None and not folder.is_dir():
                 raise UserError(f"--{name} {folder}", expected="a folder of pictures", found="none there")
-
-
-def parse_crop(text: str, *, width: int, height: int) -> Crop:
-    """Read X,Y,SIDE, a square of whole pixels within a picture.
-
-    Raises:
-        UserError: It is not of that form, or reaches beyond the picture.
-    """
-    try:
-        x, y, side = (int(part) for part in text.split(","))
-    except ValueError:
-        raise UserError("--crop", expected="X,Y,SIDE, three whole numbers", found=repr(text)) from None
-    if min(x, y) < 0 or side < 1 or x + side > width or y + side > height:
-        raise UserError(
-            "--crop", expected=f"a square within the video's {width} x {height} pixels", found=text
-        )
-    return Crop(x, y, side)

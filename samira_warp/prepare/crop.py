@@ -12,6 +12,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
+from samira_warp.support.errors import UserError
+
 NECK_WIDTH = 0.85
 """Below the first row that is narrower than this share of the widest one above, the neck begins; cheeks and
 hair vary less."""
@@ -101,3 +103,20 @@ def middle(*, width: int, height: int) -> Crop:
     """The largest square in a picture's middle."""
     side = min(width, height)
     return Crop((width - side) // 2, (height - side) // 2, side)
+
+
+def parse_crop(text: str, *, width: int, height: int) -> Crop:
+    """Read X,Y,SIDE, a square of whole pixels within a picture.
+
+    Raises:
+        UserError: It is not of that form, or reaches beyond the picture.
+    """
+    try:
+        x, y, side = (int(part) for part in text.split(","))
+    except ValueError:
+        raise UserError("--crop", expected="X,Y,SIDE, three whole numbers", found=repr(text)) from None
+    if min(x, y) < 0 or side < 1 or x + side > width or y + side > height:
+        raise UserError(
+            "--crop", expected=f"a square within the video's {width} x {height} pixels", found=text
+        )
+    return Crop(x, y, side)

@@ -19,8 +19,8 @@ from samira_warp.data import open_listing
 from samira_warp.data.pictures import pictures_of
 from samira_warp.io.files import replace_folder
 from samira_warp.prepare import albedo, matting, tracking
-from samira_warp.prepare.config import PrepareConfig, parse_crop
-from samira_warp.prepare.crop import Crop, crop_around, find_head, middle
+from samira_warp.prepare.config import PrepareConfig
+from samira_warp.prepare.crop import Crop, crop_around, find_head, middle, parse_crop
 from samira_warp.prepare.frames import sampled, write_frames
 from samira_warp.prepare.stages import Stage, check_root, content_of, folder_identity, is_file
 from samira_warp.prepare.video import VideoFacts, read_facts

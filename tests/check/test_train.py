@@ -8,7 +8,7 @@ from data.damage import change_arrays, change_json, with_value
 from data.layouts import FLIP
 from subjects import train_arguments, train_command
 
-from samira_warp.check import open_checked
+from samira_warp.check.opening import open_checked
 from samira_warp.io.images import read_image, write_png
 
 

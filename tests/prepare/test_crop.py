@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from samira_warp.prepare.config import parse_crop
-from samira_warp.prepare.crop import Box, Crop, crop_around, find_head, middle
+from samira_warp.prepare.crop import Box, Crop, crop_around, find_head, middle, parse_crop
 from samira_warp.support.errors import UserError
 
 

@@ -1,0 +1,26 @@
+"""Options of the bench verb."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from tyro.conf import Positional
+
+from samira_warp.support.device_names import DeviceName
+
+
+@dataclass(frozen=True)
+class BenchConfig:
+    """Time a part of the package on this machine."""
+
+    what: Positional[Literal["raster", "light", "avatar", "train"]]
+    """raster: kernels against plain ones or, on a GPU, gsplat; light: filtering; avatar: a frame, train: a
+    step, by stage."""
+    device: DeviceName = "auto"
+    """Where to compute: cpu, cuda, cuda:N, or auto, a GPU where there is one."""
+    json: bool = False
+    """Print JSON instead of a table."""
+    hdri: Path | None = None
+    """light: also shade a sphere and a head under every map of this folder, against Monte Carlo (minutes)."""
