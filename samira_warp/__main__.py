@@ -12,7 +12,7 @@ from samira_warp.support.cli import guarded, nearest, say_mistake
 VERBS = {
     "prepare": "make a dataset of a video of one head",
     "check": "say what a dataset holds and all that is wrong with it",
-    "train": "train a relightable, animatable avatar from a tracked video of a head",
+    "train": "train a relightable, animatable avatar from a tracked video",
     "render": "render an avatar, re-animated, relit, its materials changed",
     "evaluate": "score images against a dataset",
     "export": "write an avatar for other programs",
@@ -55,7 +55,7 @@ def _help() -> str:
             "",
             *lines,
             "",
-            f"{PROGRAM} VERB --help shows a verb's options, {PROGRAM} --version the version.",
+            f"{PROGRAM} VERB --help shows its options, {PROGRAM} --version the version.",
         ]
     )
 

@@ -30,9 +30,9 @@ from samira_warp.light import LearnableLight, decode_srgb
 from samira_warp.light.color import ColorSpace
 from samira_warp.support.cli import run
 from samira_warp.support.errors import UserError
-from samira_warp.train.config import LossWeights, learning_rate
 from samira_warp.train.initialize import initial_albedo
-from samira_warp.train.losses import Target, linear_albedo, total_loss
+from samira_warp.train.losses import LossWeights, Target, linear_albedo, total_loss
+from samira_warp.train.schedule import learning_rate
 from samira_warp.train.setup import PIXEL_CACHE_BYTES
 
 REFITTED = ("albedo_logits", "roughness_logits", "specular_logits")

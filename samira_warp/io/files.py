@@ -15,7 +15,7 @@ from typing import Any
 from safetensors.torch import save
 from torch import Tensor
 
-from samira_warp.support.errors import UserError
+from samira_warp.support.errors import UserError, reason
 
 
 def cache_folder() -> Path:
@@ -43,6 +43,39 @@ def _users_caches() -> Path:
     if sys.platform == "darwin":
         return Path.home() / "Library" / "Caches"
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+
+
+@contextlib.contextmanager
+def provisional_folder(folder: Path) -> Iterator[None]:
+    """Make a folder, and those that it is in; what was made and is empty at the end is removed again.
+
+    Raises:
+        OSError: It cannot be made.
+    """
+    missing = [path for path in (folder, *folder.parents) if not path.exists()]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        yield
+    finally:
+        with contextlib.suppress(OSError):  # one with something in it ends the row
+            for path in missing:
+                path.rmdir()
+
+
+def check_writable(folder: Path) -> None:
+    """Raise UserError unless files can be written into a folder, which need not be there yet.
+
+    For what takes long before it writes. Nothing is left behind.
+    """
+    probe = folder / f".samira_warp.{os.getpid()}"
+    try:
+        with provisional_folder(folder):
+            try:
+                probe.write_bytes(b"\0")
+            finally:
+                probe.unlink(missing_ok=True)
+    except OSError as error:
+        raise UserError(folder, expected="a folder that can be written", found=reason(error)) from error
 
 
 def replace_folder(target: Path, write: Callable[[Path], None]) -> None:

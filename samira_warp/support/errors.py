@@ -35,7 +35,7 @@ _SENTENCES = {
     errno.EFBIG: "cannot be written: the file would be larger than is allowed",
     errno.EISDIR: "expected a file, found a folder",
     errno.ENOTDIR: "expected a folder, found a file on the way to it",
-    errno.EEXIST: "cannot be made: there is something of this name",
+    errno.EEXIST: "cannot be made: something of this name is there",
     errno.ENOTEMPTY: "cannot be replaced: the folder is not empty",
     errno.ENAMETOOLONG: "cannot be made: the name is too long",
     errno.EMFILE: "cannot be opened: too many files are open (ulimit -n)",
@@ -52,5 +52,11 @@ def in_words(error: OSError) -> str:
     names = [str(name) for name in (error.filename, error.filename2) if name is not None]
     if error.errno is None or not (names or error.errno in _SENTENCES):
         return str(error) or f"a file cannot be read or written ({type(error).__name__})"
-    known = _SENTENCES.get(error.errno, "cannot be read or written")
-    return f"{' to '.join(names) or 'a file of this run'}: {known} ({error.strerror})"
+    return f"{' to '.join(names) or 'a file of this run'}: {reason(error)}"
+
+
+def reason(error: OSError) -> str:
+    """What could not be done, without the file."""
+    if error.errno is None:
+        return str(error)
+    return f"{_SENTENCES.get(error.errno, 'cannot be read or written')} ({error.strerror})"

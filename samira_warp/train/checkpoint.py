@@ -73,6 +73,18 @@ def last_checkpoint(folder: Path) -> Path:
     return found[-1]
 
 
+def checkpoint_step(path: Path) -> int:
+    """The number of steps done at a checkpoint.
+
+    Raises:
+        UserError: The file that says so is broken.
+    """
+    step = read_json(path / STEP_FILE).get("step")
+    if not isinstance(step, int):
+        raise UserError(path / STEP_FILE, expected="the number of steps done", found=step)
+    return step
+
+
 def load_training(
     path: Path, optimizer: torch.optim.Adam, tracked: TrackedParameters, density: DensityStatistics
 ) -> int:
@@ -114,7 +126,7 @@ def load_training(
                 optimizer.state[parameter] = {
                     name: value.to(parameter.device) for name, value in moments.items()
                 }
-    return int(read_json(path / STEP_FILE)["step"])
+    return checkpoint_step(path)
 
 
 def _training_tensors(state: TrainingState) -> dict[str, torch.Tensor]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import kornia
@@ -11,7 +12,7 @@ import torch
 from samira_warp.avatar import Avatar, Motion, Rendering
 from samira_warp.avatar.residual import POSITION_LIMIT
 from samira_warp.light import decode_srgb
-from samira_warp.train.config import LossWeights
+from samira_warp.train.config import Ablation
 
 SSIM_WINDOW = 11
 """Pixels; Gaussian with sigma 1.5 (3DGS)."""
@@ -21,6 +22,43 @@ SURFACE_ALPHA = 0.5
 
 ALBEDO_MASK = 0.95
 """Pseudo-albedo is compared where the matte is above this: at soft edges it is mixed with the background."""
+
+
+@dataclass(frozen=True)
+class LossWeights:
+    """Weights of the training objective (Eqs. rgb to total_loss), and the terms of our own."""
+
+    ssim: float = 0.2
+    """lambda_1 of Eq. rgb."""
+    lpips: float = 0.05
+    """lambda_2 of Eq. rgb."""
+    normal_smoothness: float = 0.15
+    """lambda_3 of Eq. normal_loss."""
+    normal_prior: float = 0.1
+    """lambda_4 of Eq. normal_loss."""
+    albedo: float = 0.1
+    """lambda_5 of Eq. albedo_loss."""
+    mask: float = 0.1
+    """L1 of alpha against the matte: on white, low opacity buys highlights, and relit faces would leak
+    white."""
+    residual: float = 0.1
+    """Mean square of the UV residual as a share of its limits: without it the network drifts by millimetres
+    that the Gaussians' means take back, and memorises the tracker's noise frame by frame
+    (docs/measurements.md)."""
+    response: float = 1e-3
+    """Prior on the squared response logits: (albedo / c, c tau) looks the same until the light changes."""
+
+
+def loss_weights(ablated: Collection[Ablation] = ()) -> LossWeights:
+    """The objective's weights, less what is ablated."""
+    weights = LossWeights()
+    if "no-normal-prior" in ablated:
+        weights = replace(weights, normal_prior=0.0)
+    if "no-albedo" in ablated:
+        weights = replace(weights, albedo=0.0)
+    if "no-mask" in ablated:
+        weights = replace(weights, mask=0.0)
+    return weights
 
 
 class Target(NamedTuple):

@@ -7,7 +7,7 @@ from torch import nn
 
 from samira_warp.avatar import Avatar
 from samira_warp.avatar.gaussians import Gaussians
-from samira_warp.train.config import learning_rate
+from samira_warp.train.schedule import learning_rate
 from samira_warp.train.tracking import TrackedParameters
 
 ADAM_EPSILON = 1e-15
@@ -16,7 +16,7 @@ Gaussians."""
 
 
 def make_optimizer(avatar: Avatar, tracked: TrackedParameters) -> torch.optim.Adam:
-    """One group a rate, named as in `config.RATES`; Gaussians' groups hold one parameter each."""
+    """One group a rate, named as in `schedule.RATES`; Gaussians' groups hold one parameter each."""
     groups: dict[str, list[nn.Parameter]] = {
         name: [getattr(avatar.gaussians, name)] for name in Gaussians.PARAMETERS
     }

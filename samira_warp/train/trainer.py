@@ -13,14 +13,14 @@ from samira_warp.evaluate.lpips import Lpips
 from samira_warp.geometry.camera import Camera
 from samira_warp.geometry.mesh import face_areas
 from samira_warp.kernels.mesh.triangle_frames import triangle_frames
+from samira_warp.train.begun import CHECKPOINTS_FOLDER
 from samira_warp.train.checkpoint import TrainingState, load_training, save_checkpoint
-from samira_warp.train.config import LossWeights, Schedule, TrainConfig
 from samira_warp.train.density import DensityStatistics, control_density, reset_opacity
 from samira_warp.train.interrupt import StopRequest
 from samira_warp.train.log import RunLog
-from samira_warp.train.losses import Target, linear_albedo, total_loss
+from samira_warp.train.losses import Target, linear_albedo, loss_weights, total_loss
 from samira_warp.train.optimizer import make_optimizer, replace_gaussians, reset_moments, set_rates
-from samira_warp.train.setup import loss_weights
+from samira_warp.train.plan import TrainPlan
 from samira_warp.train.tracking import TrackedParameters
 
 PREFETCH = 8
@@ -36,29 +36,24 @@ class Trainer:
 
     def __init__(
         self,
-        config: TrainConfig,
+        plan: TrainPlan,
         sequence: Sequence,
         pixels: PixelCache,
         avatar: Avatar,
-        *,
-        size: tuple[int, int],
-        schedule: Schedule,
-        perceptual: Lpips | None,
-        cap: int,
     ) -> None:
-        self.config, self.sequence, self.pixels, self.avatar = config, sequence, pixels, avatar
-        self.size, self.schedule, self.cap = size, schedule, cap
-        self.weights: LossWeights = loss_weights(config)
-        self.perceptual = perceptual
-        self.device = torch.device(config.device)
+        self.plan, self.sequence, self.pixels, self.avatar = plan, sequence, pixels, avatar
+        self.settings, self.schedule = plan.settings, plan.schedule
+        self.weights = loss_weights(plan.settings.ablate)
+        self.perceptual: Lpips | None = None
+        self.device = torch.device(plan.settings.device)
         self.tracked = TrackedParameters(sequence.batch(sequence.train)).to(self.device)
         self.optimizer = make_optimizer(avatar, self.tracked)
         self.density = DensityStatistics(len(avatar.gaussians), self.device)
-        self.step = 0
+        self.step = self.saved = 0
 
     def resume(self, checkpoint: Path) -> None:
         """Go on from a checkpoint, whose avatar this trainer was made with."""
-        self.step = load_training(checkpoint, self.optimizer, self.tracked, self.density)
+        self.step = self.saved = load_training(checkpoint, self.optimizer, self.tracked, self.density)
 
     def run(self, folder: Path, *, record: dict[str, Any]) -> bool:
         """Train to the end of the schedule, with checkpoints and previews in ``folder``.
@@ -71,9 +66,9 @@ class Trainer:
                 self._prefetch()
                 rendering, target, terms = self.train_step()
                 log.add(self.step, terms, gaussians=len(self.avatar.gaussians))
-                if self.step % self.config.preview_every == 0 or self.step == self.schedule.steps:
+                if self.step % self.settings.preview_every == 0 or self.step == self.schedule.steps:
                     log.preview(self.step, rendering, target.image, self.avatar.light.environment())
-                if self.step % self.config.checkpoint_every == 0 or self.step == self.schedule.steps:
+                if self.step % self.settings.checkpoint_every == 0 or self.step == self.schedule.steps:
                     self.save(folder, record)
             finished = self.step == self.schedule.steps
             if not finished:
@@ -83,14 +78,19 @@ class Trainer:
     def save(self, folder: Path, record: dict[str, Any]) -> Path:
         """Write a checkpoint of the current step."""
         state = TrainingState(self.step, self.avatar, self.tracked, self.optimizer, self.density)
-        return save_checkpoint(folder / "checkpoints", state, record=record)
+        path = save_checkpoint(folder / CHECKPOINTS_FOLDER, state, record=record)
+        self.saved = self.step
+        return path
 
     def train_step(self) -> tuple[Rendering, Target, dict[str, torch.Tensor]]:
         """One frame forward, backward and updated; the rendering, what it should be, and the detached loss
         terms.
         """
+        if self.schedule.extended_at(self.step):
+            # what was gathered before belongs to a window that had closed
+            self.density = DensityStatistics(len(self.avatar.gaussians), self.device)
         row = self._row(self.step)
-        stage_two = "no-two-stage" in self.config.ablate or self.schedule.in_stage_two(self.step)
+        stage_two = "no-two-stage" in self.settings.ablate or self.schedule.in_stage_two(self.step)
         self.avatar.gaussians.normals.requires_grad_(stage_two)
         self.avatar.response_logits.requires_grad_(stage_two)
         set_rates(self.optimizer, step=self.step, steps=self.schedule.steps)
@@ -114,7 +114,7 @@ class Trainer:
 
     def camera(self, frame: Frame) -> Camera:
         """The frame's camera at the training size, on the device."""
-        width, height = self.size
+        width, height = self.plan.size
         return frame.camera.resized(width=width, height=height).to(self.device)
 
     def _row(self, step: int) -> int:
@@ -123,7 +123,7 @@ class Trainer:
         """
         count = len(self.sequence.train)
         epoch, place = divmod(step, count)
-        generator = torch.Generator().manual_seed(self.config.seed * 1_000_003 + epoch)
+        generator = torch.Generator().manual_seed(self.settings.seed * 1_000_003 + epoch)
         return int(torch.randperm(count, generator=generator)[place])
 
     def _prefetch(self) -> None:
@@ -136,12 +136,12 @@ class Trainer:
         matted = bool((content.mask < 1.0).any())
         content = content.to(self.device)
         wanted = matted and content.albedo is not None and self.weights.albedo > 0.0
-        albedo = linear_albedo(content.albedo, color_space=self.config.color_space) if wanted else None
+        albedo = linear_albedo(content.albedo, color_space=self.settings.color_space) if wanted else None
         return self.sequence.frames[index], Target(content.image, content.mask if matted else None, albedo)
 
     def _perceptual_turn(self) -> bool:
         """LPIPS is every fourth step's in the cpu preset, and every step's otherwise."""
-        return self.config.preset != "cpu" or self.step % 4 == 0
+        return self.settings.preset != "cpu" or self.step % 4 == 0
 
     def _gather_density(self, rendering: Rendering) -> None:
         screen = rendering.gbuffer.screen
@@ -153,7 +153,7 @@ class Trainer:
         """Add and remove Gaussians, reset opacity and refresh UV coordinates where the schedule says so."""
         avatar, canonical = self.avatar, self.avatar.canonical
         if self.schedule.density_event(self.step):
-            generator = torch.Generator().manual_seed(self.config.seed * 1_000_003 + self.step)
+            generator = torch.Generator().manual_seed(self.settings.seed * 1_000_003 + self.step)
             scales = triangle_frames(canonical.vertices, canonical.topology).scale
             areas = face_areas(canonical.vertices, canonical.topology.faces)
             change = control_density(
@@ -161,7 +161,7 @@ class Trainer:
                 self.density,
                 face_scales=scales,
                 face_areas=areas,
-                cap=self.cap,
+                cap=self.settings.gaussian_cap,
                 generator=generator,
             )
             replace_gaussians(self.optimizer, avatar.gaussians, change.gaussians, change.kept)

@@ -1,14 +1,18 @@
 import os
 import pwd
 import sys
+from pathlib import Path
 
 import pytest
 import torch
+from data.damage import file_size_limit
 from safetensors.torch import load_file
 
 from samira_warp import UserError
 from samira_warp.io.files import (
     cache_folder,
+    check_writable,
+    provisional_folder,
     read_json,
     replace_file,
     replace_folder,
@@ -113,6 +117,42 @@ def test_a_file_has_its_name_once_it_is_whole(tmp_path):
         assert target.read_text() == "before"
     assert target.read_text() == "after"
     assert list(tmp_path.iterdir()) == [target]
+
+
+def test_a_folder_in_which_nothing_was_put_goes_again_with_those_made_for_it(tmp_path):
+    (tmp_path / "there").mkdir()
+    with provisional_folder(tmp_path / "there" / "new" / "newer"):
+        assert (tmp_path / "there" / "new" / "newer").is_dir()
+    assert list((tmp_path / "there").iterdir()) == []
+    with provisional_folder(tmp_path / "there" / "new" / "newer"):
+        (tmp_path / "there" / "new" / "one").write_text("mine")
+    assert [path.name for path in (tmp_path / "there" / "new").iterdir()] == ["one"]
+    with provisional_folder(tmp_path / "there"):
+        pass
+    assert (tmp_path / "there").is_dir()
+
+
+def test_a_folder_is_tried_for_writing_without_a_trace(tmp_path):
+    check_writable(tmp_path / "new" / "newer")
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "file").write_text("mine")
+    for path, found in {
+        tmp_path / "file": "something of this name is there",
+        tmp_path / "file" / "new": "a file on the way to it",
+    }.items():
+        with pytest.raises(
+            UserError, match=f"{path}: expected a folder that can be written, found .*{found}"
+        ):
+            check_writable(path)
+    with file_size_limit(0), pytest.raises(UserError, match="larger than is allowed"):
+        check_writable(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+@pytest.mark.skipif(os.geteuid() == 0 and not os.path.exists("/proc/1"), reason="root may write anywhere")
+def test_a_folder_that_may_not_be_written_is_named():
+    with pytest.raises(UserError, match="/proc/samira: expected a folder that can be written"):
+        check_writable(Path("/proc/samira"))
 
 
 def test_a_file_is_replaced_whole(tmp_path):

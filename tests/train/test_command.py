@@ -3,9 +3,11 @@
 import json
 import math
 import os
+import re
 import shutil
 import subprocess
 import sys
+from dataclasses import fields
 
 import numpy as np
 import OpenImageIO
@@ -18,7 +20,7 @@ from subjects import STEPS, train_arguments, train_command
 from samira_warp.avatar import Avatar, read_frames
 from samira_warp.io.images import read_image
 from samira_warp.train.config import PRESETS, TrainConfig
-from samira_warp.train.setup import resolve
+from samira_warp.train.settings import DEFAULTS, Settings, resolve
 
 
 def lines(path):
@@ -62,7 +64,10 @@ def test_config_tells_how_the_run_was_made(tiny_run, tiny_dataset):
     record = json.loads((tiny_run / "config.json").read_text())
     assert record["settings"]["seed"] == 42
     assert record["settings"]["data"] == str(tiny_dataset)
-    assert set(record["settings"]) == set(TrainConfig.__dataclass_fields__)
+    assert set(record["settings"]) == {field.name for field in fields(Settings)}
+    assert all(
+        value is not None for name, value in record["settings"].items() if DEFAULTS.get(name, 0) is not None
+    )
     assert (record["steps"], record["train_frames"], record["test_frames"]) == (STEPS, 4, 2)
     assert (record["encoder"], record["split"], record["subject"]) == ("random", "dataset", "subject")
     assert len(record["template_hash"]) == 64
@@ -189,6 +194,16 @@ def test_the_command_itself(tiny_dataset, tmp_path):
     assert json.loads(done.stdout)["psnr"] > 5
     assert "Traceback" not in done.stderr
     assert "3 training and 3 test frames" in done.stderr
+    # the end says where the avatar is, how it scores and what to do next
+    run = tmp_path / "run"
+    said = done.stderr[
+        done.stderr.index(f"the avatar is in {run / 'avatar'}; on 3 test frames of 24 x 24:") :
+    ]
+    table = dict(re.split(r"  +", line.strip()) for line in said.splitlines()[1:7])
+    assert table["PSNR"] == f"{json.loads(done.stdout)['psnr']:.2f} dB"
+    assert table["LPIPS"].startswith("none: ")
+    assert f"python -m samira_warp.render --avatar {run} --out {run / 'render'}" in said
+    assert f"python -m samira_warp.evaluate --pred {run / 'render' / 'image'} --data {tiny_dataset}" in said
     assert (
         json.loads((tmp_path / "run" / "avatar" / "avatar.json").read_text())["settings"]["uv_size"]
         == PRESETS["cpu"].uv_size
@@ -196,12 +211,37 @@ def test_the_command_itself(tiny_dataset, tmp_path):
 
 
 def test_defaults_follow_the_machine(tmp_path):
-    resolved = resolve(TrainConfig(data=tmp_path / "ict_a"))
+    resolved = resolve(TrainConfig(), data=tmp_path / "ict_a", out=tmp_path / "run")
     gpu = torch.cuda.is_available()
     assert resolved.preset == ("paper" if gpu else "cpu")
-    assert str(resolved.out) == os.path.join("runs", "ict_a")
     assert resolved.resolution == PRESETS[resolved.preset].resolution
     assert resolved.gaussians == PRESETS[resolved.preset].gaussians
+
+
+def test_every_setting_can_be_asked_for_and_is_none_until_then():
+    """What is asked for can be told from what is not, even where it asks for the default."""
+    asked, resolved = fields(TrainConfig), {field.name for field in fields(Settings)}
+    assert {field.name for field in asked} - {"resume"} == resolved
+    assert {field.name for field in asked if field.default is not None} == {"resume"}
+
+
+def test_help_names_the_default_that_holds(capsys):
+    with pytest.raises(SystemExit):
+        train_command("--help")
+    words = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    sentences = dict(re.findall(r"--([a-z-]+),? (.*?)(?= --[a-z-]+,? |$)", words))
+    for name, value in DEFAULTS.items():
+        if name not in ("tie_light", "ablate") and value is not None:
+            assert f"default {value}" in sentences[name.replace("_", "-")], name
+
+
+def test_the_run_folder_is_called_after_the_dataset(tiny_dataset, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    arguments = train_arguments(tiny_dataset, "unused")
+    del arguments[arguments.index("--out") : arguments.index("--out") + 2]
+    arguments[arguments.index(str(STEPS))] = "1"
+    assert train_command(*arguments) == 0
+    assert (tmp_path / "runs" / "subject" / "avatar" / "avatar.json").is_file()
 
 
 def test_epochs_decide_the_steps_where_max_steps_does_not(tiny_dataset, tmp_path):
@@ -224,3 +264,15 @@ def test_frames_without_a_matte_train_without_the_terms_that_need_one(tiny_datas
     assert {"l1", "ssim", "residual"} <= terms
     assert not {"mask", "albedo"} & terms
     assert 5 < json.loads((tmp_path / "run" / "results.json").read_text())["psnr"] < 40
+
+
+def test_pictures_smaller_than_the_training_size_are_said_to_be_enlarged(tiny_dataset, tmp_path, capsys):
+    arguments = train_arguments(tiny_dataset, tmp_path / "run")
+    arguments[arguments.index(str(STEPS))] = "1"
+    assert train_command(*arguments) == 0
+    assert "enlarged" not in capsys.readouterr().err
+    arguments = [str(tmp_path / "large") if word == str(tmp_path / "run") else word for word in arguments]
+    assert train_command(*arguments, "--resolution", 40) == 0
+    said = capsys.readouterr().err
+    assert "pictures of 32 x 32 pixels are enlarged to 40 x 40" in said
+    assert "--resolution 32" in said

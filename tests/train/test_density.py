@@ -6,7 +6,6 @@ from samira_warp.avatar import Gaussians
 from samira_warp.geometry.mesh import face_areas
 from samira_warp.head import FrameParameters
 from samira_warp.kernels.mesh.triangle_frames import triangle_frames
-from samira_warp.train.config import RATES
 from samira_warp.train.density import (
     GRADIENT_THRESHOLD,
     OPACITY_MIN,
@@ -17,6 +16,7 @@ from samira_warp.train.density import (
     reset_opacity,
 )
 from samira_warp.train.optimizer import make_optimizer, replace_gaussians, reset_moments, set_rates
+from samira_warp.train.schedule import RATES
 from samira_warp.train.tracking import TrackedParameters
 
 COUNT = 200

@@ -8,8 +8,8 @@ from skimage.metrics import structural_similarity
 from subjects import SMALL_LIGHT, camera, parameters, small_avatar
 
 from samira_warp.light import decode_srgb
-from samira_warp.train.config import LossWeights
 from samira_warp.train.losses import (
+    LossWeights,
     Target,
     albedo_loss,
     linear_albedo,

@@ -13,6 +13,8 @@ from data.damage import change_arrays, change_json, cut, widen, with_value
 from subjects import STEPS, train_arguments, train_command
 
 from samira_warp import Avatar
+from samira_warp.train.folder import claimed
+from samira_warp.train.trainer import Trainer
 
 
 @pytest.fixture
@@ -118,7 +120,9 @@ def test_images_too_small_for_ssim_are_refused(tiny_dataset, tmp_path, capsys):
     [
         ([], "runs/built_in: expected a new folder"),
         (["--out", "mine"], "mine: expected a folder, found a file"),
-        (["--out", "other", "--resume"], "a checkpoint to resume from"),
+        (["--out", "mine/run"], "mine/run: expected a folder that can be written and locked"),
+        (["--out", "done"], "done: expected a new folder, found a finished avatar"),
+        (["--out", "done", "--resume"], "done/checkpoints: expected a checkpoint"),
         (["--out", "other", "--resolution", "8"], "--resolution 8"),
         (["--out", "other", "--split", "half"], "--split"),
         (["--out", "other", "--lpips-weights", "nowhere"], "nowhere"),
@@ -131,8 +135,10 @@ def test_the_built_in_subject_is_not_made_for_a_run_that_cannot_be(
     monkeypatch.setenv("SAMIRA_WARP_CACHE", str(tmp_path / "cache"))
     (tmp_path / "runs" / "built_in" / "checkpoints" / "step_000003").mkdir(parents=True)
     (tmp_path / "mine").write_text("mine")
+    (tmp_path / "done" / "avatar").mkdir(parents=True)
     assert complaint in refused(capsys, "--preset", "cpu", "--device", "cpu", "--encoder", "random", *options)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["mine", "runs"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["done", "mine", "runs"]
+    assert [path.name for path in (tmp_path / "done").iterdir()] == ["avatar"]
 
 
 def test_no_gpu(tiny_dataset, tmp_path, capsys):
@@ -183,6 +189,76 @@ def test_the_process_itself_says_one_line(tmp_path):
     assert len(done.stderr.strip().splitlines()) == 1
     assert str(tmp_path / "nowhere") in done.stderr
     assert not (tmp_path / "run").exists()
+
+
+def film(folder):
+    folder.mkdir()
+    (folder / "me.MP4").write_bytes(b"film")
+    return folder
+
+
+NOT_DATASETS = {
+    "nothing": (lambda path: path, "no such folder"),
+    "a file": (lambda path: path.write_text("hello") and path, "a file"),
+    "a video": (lambda path: film(path) / "me.MP4", "python -m samira_warp.prepare {data} --out DIR"),
+    "an empty folder": (lambda path: path.mkdir() or path, "an empty folder"),
+    "a folder of videos": (film, "python -m samira_warp.prepare {data}/me.MP4 --out DIR"),
+}
+
+
+@pytest.mark.parametrize("name", NOT_DATASETS)
+def test_what_is_no_dataset_is_said_to_be_what_it_is(tmp_path, capsys, name):
+    make, found = NOT_DATASETS[name]
+    data = make(tmp_path / "data")
+    message = refused(capsys, *train_arguments(data, tmp_path / "run"))
+    assert message.startswith(f"error: {data}: expected ")
+    assert found.format(data=data) in message.partition(", found ")[2]
+    assert "--flame" not in message
+    assert not (tmp_path / "run").exists()
+
+
+def test_two_trainings_do_not_share_a_folder(tiny_dataset, tmp_path, capsys):
+    with claimed(tmp_path / "run"):
+        message = refused(capsys, *train_arguments(tiny_dataset, tmp_path / "run"))
+        assert (
+            message
+            == f"error: {tmp_path / 'run'}: expected a folder that no other training uses, found one at work in it"
+        )
+    # nothing was written, so nothing is left
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_training_keeps_others_out_from_its_beginning_to_its_end(
+    tiny_dataset, tmp_path, capsys, monkeypatch
+):
+    run, refusals = tmp_path / "run", []
+    step = Trainer.train_step
+
+    def other_training(self):
+        monkeypatch.setattr(Trainer, "train_step", step)
+        refusals.append(train_command(*train_arguments(tiny_dataset, run), "--resume"))
+        return step(self)
+
+    monkeypatch.setattr(Trainer, "train_step", other_training)
+    assert train_command(*train_arguments(tiny_dataset, run)) == 0
+    assert refusals == [2]
+    assert f"{run}: expected a folder that no other training uses" in capsys.readouterr().err
+    assert not (run / ".lock").exists()
+
+
+def test_a_finished_avatar_without_its_checkpoints_is_not_overwritten(
+    tiny_run, tiny_dataset, tmp_path, capsys
+):
+    run = shutil.copytree(tiny_run, tmp_path / "run")
+    shutil.rmtree(run / "checkpoints")
+    before = (run / "avatar" / "avatar.safetensors").read_bytes()
+    assert f"{run}: expected a new folder, found a finished avatar" in refused(
+        capsys, *train_arguments(tiny_dataset, run)
+    )
+    assert f"{run / 'checkpoints'}: expected a checkpoint" in refused(
+        capsys, *train_arguments(tiny_dataset, run, "--resume")
+    )
+    assert (run / "avatar" / "avatar.safetensors").read_bytes() == before
 
 
 def late_frame():

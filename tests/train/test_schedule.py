@@ -3,7 +3,7 @@ import math
 
 import pytest
 
-from samira_warp.train.config import LONG_RUN, RATES, SHORT_RUN, WARM_UP, Schedule, learning_rate
+from samira_warp.train.schedule import LONG_RUN, RATES, SHORT_RUN, WARM_UP, Earlier, Schedule, learning_rate
 
 
 @pytest.mark.parametrize("group", RATES)
@@ -96,3 +96,51 @@ def test_opacity_is_reset_in_long_runs_only():
     assert not any(Schedule(20_000).opacity_reset(step) for step in range(20_000))
     resets = [step for step in range(30_000) if Schedule(30_000).opacity_reset(step)]
     assert resets == [3_000 * k - 1 for k in range(2, 7)]
+
+
+def test_a_finished_run_that_is_extended_keeps_what_had_begun_and_follows_the_new_length():
+    schedule = Schedule(3_000).extended(6_000, at=3_000)
+    assert (schedule.steps, schedule.earlier) == (6_000, (Earlier(3_000, 3_000),))
+    # a run of 6,000 steps would begin stage two at 1,800 and LPIPS at 3,000: both have begun, and stay on
+    assert [schedule.in_stage_two(step) for step in (899, 900, 1_500, 3_000, 5_999)] == [False] + 4 * [True]
+    assert [schedule.perceptual_on(step) for step in (1_499, 1_500, 2_999, 3_000)] == [False] + 3 * [True]
+    # density control goes on in what is left of the new length's window, and has no pause to make
+    events = [step for step in range(3_000, 6_000) if schedule.density_event(step)]
+    assert events == [150 * k - 1 for k in range(21, 25)]
+    assert [step for step in range(3_000, 6_000) if schedule.density_ends(step)] == [3_599]
+
+
+def test_a_finished_run_that_is_extended_by_little_has_no_more_density_control():
+    schedule = Schedule(3_000).extended(4_000, at=3_000)
+    later = range(3_000, 4_000)
+    assert not any(schedule.density_window(step) or schedule.density_event(step) for step in later)
+    # rates rise to those of a run of the new length, and fall to the same ends
+    for group, first in (("network", 2e-3), ("light", 1e-2)):
+        rates = [learning_rate(group, step=step, steps=schedule.steps) for step in (3_000, 4_000)]
+        assert rates[1] < rates[0] < 0.25 * first
+        assert rates[1] == pytest.approx(RATES[group].short[1])
+
+
+def test_what_had_not_begun_begins_with_the_new_length():
+    schedule = Schedule(3_000).extended(9_000, at=500)
+    assert [step for step in range(9_000) if schedule.in_stage_two(step)][0] == 2_700
+    assert [step for step in range(9_000) if schedule.perceptual_on(step)][0] == 4_500
+    paused = [step for step in range(2_700, 3_150) if schedule.density_event(step)]
+    assert paused == []
+
+
+def test_of_several_lengths_the_one_that_held_decides_what_began():
+    """0.3 of the first length was not reached under it, 0.3 of the second was, and the third changes that no
+    more."""
+    schedule = Schedule(10_000).extended(11_000, at=2_000).extended(40_000, at=3_500)
+    assert [step for step in range(12_000) if schedule.in_stage_two(step)][0] == 3_300
+
+
+def test_an_extension_before_a_step_was_done_is_forgotten():
+    assert Schedule(3_000).extended(6_000, at=0) == Schedule(6_000)
+    assert Schedule(3).extended(6, at=3).extended(9, at=3) == Schedule(3).extended(9, at=3)
+
+
+def test_where_a_run_was_extended_is_known():
+    schedule = Schedule(3).extended(6, at=3).extended(9, at=6)
+    assert [step for step in range(10) if schedule.extended_at(step)] == [3, 6]

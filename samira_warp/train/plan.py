@@ -1,0 +1,94 @@
+"""A training run as it is decided, with all that the dataset decides."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from samira_warp.data import Sequence
+from samira_warp.support.errors import UserError
+from samira_warp.train.begun import Begun
+from samira_warp.train.config import TrainConfig
+from samira_warp.train.losses import SSIM_WINDOW
+from samira_warp.train.schedule import Schedule
+from samira_warp.train.settings import LENGTH, Settings, option
+
+
+@dataclass(frozen=True)
+class TrainPlan:
+    """A run on its dataset, with nothing left to decide.
+
+    Attributes:
+        settings: Every option.
+        size: Width and height of the training images, pixels.
+        schedule: What happens when; its ``steps`` is the length of the run.
+    """
+
+    settings: Settings
+    size: tuple[int, int]
+    schedule: Schedule
+
+
+def make_plan(
+    settings: Settings, sequence: Sequence, config: TrainConfig, *, begun: Begun | None = None
+) -> TrainPlan:
+    """Decide what the dataset decides.
+
+    Args:
+        settings: Every option.
+        sequence: The dataset.
+        config: The options as asked, for a run that goes on is extended by what is asked for alone.
+        begun: How the run that goes on was begun, None for a new one.
+
+    Raises:
+        UserError: A run that goes on is asked to be shorter.
+    """
+    frames = len(sequence.train)
+    if begun is None:
+        schedule = Schedule(min(settings.epochs * frames, settings.max_steps or settings.epochs * frames))
+    else:
+        schedule = _extended(begun, config, frames=frames, out=settings.out)
+    return TrainPlan(settings, image_size(sequence, settings.resolution), schedule)
+
+
+def image_size(sequence: Sequence, resolution: int) -> tuple[int, int]:
+    """Width and height of the training images: the longer side is ``resolution``."""
+    camera = sequence.frames[0].camera
+    scale = resolution / max(camera.width, camera.height)
+    return max(round(camera.width * scale), 1), max(round(camera.height * scale), 1)
+
+
+def check_size(size: tuple[int, int], *, resolution: int) -> None:
+    """Raise UserError if images are too small for SSIM.
+
+    Args:
+        size: Width and height, pixels.
+        resolution: What was asked for.
+    """
+    if min(size) < SSIM_WINDOW:
+        expected = f"images of at least {SSIM_WINDOW} pixels a side"
+        raise UserError(f"--resolution {resolution}", expected=expected, found=f"{size[0]} x {size[1]}")
+
+
+def _extended(begun: Begun, config: TrainConfig, *, frames: int, out: Path) -> Schedule:
+    """The schedule of a run that goes on: its own, unless another length is asked for.
+
+    Then the length is what is asked for, whatever other limit the run had.
+
+    Raises:
+        UserError: It is to be shorter than it was.
+    """
+    asked = {name: getattr(config, name) for name in LENGTH if getattr(config, name) is not None}
+    if all(value == begun.settings[name] for name, value in asked.items()):
+        return begun.schedule
+    limits = {"epochs": frames, "max_steps": 1}
+    name, steps = min(
+        ((name, value * limits[name]) for name, value in asked.items()), key=lambda limit: limit[1]
+    )
+    if steps < begun.schedule.steps:
+        raise UserError(
+            f"{out}: {option(name)}",
+            expected=f"{begun.schedule.steps} steps as the run was begun, or more to extend it",
+            found=f"{steps}",
+        )
+    return begun.schedule.extended(steps, at=begun.step)

@@ -1,0 +1,109 @@
+"""What a finished run leaves: the avatar with its frames, and how it scores on the test frames."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import torch
+
+from samira_warp.avatar import DrivingFrame, write_frames
+from samira_warp.data.pixels import load_mask
+from samira_warp.evaluate import ImagePair, Lpips, evaluate_images
+from samira_warp.io.images import to_uint8
+from samira_warp.train.trainer import Trainer
+
+ROWS = {
+    "psnr": ("PSNR", "{:.2f} dB"),
+    "psnr_foreground": ("PSNR of the foreground", "{:.2f} dB"),
+    "psnr_gain": ("after a gain per channel", "{:.2f} dB"),
+    "ssim": ("SSIM", "{:.4f}"),
+    "l1": ("L1 x 100", "{:.3f}"),
+    "lpips": ("LPIPS", "{:.4f}"),
+}
+"""Scores in the table, with their names and formats."""
+
+
+@torch.no_grad()
+def score(trainer: Trainer, lpips: Lpips | str) -> dict[str, Any]:
+    """Score the test frames in 8 bits against the truth, rendered with the parameters they came with.
+
+    Args:
+        trainer: At the end of its run.
+        lpips: The distance, or why there is none.
+    """
+    sequence, avatar = trainer.sequence, trainer.avatar
+    width, height = trainer.plan.size
+    light = avatar.light()
+
+    def pairs() -> Iterator[ImagePair]:
+        for index in sequence.test:
+            frame = sequence.frames[index]
+            rendering = avatar.render(frame.parameters.to(trainer.device), trainer.camera(frame), light)
+            prediction = torch.from_numpy(to_uint8(rendering.image.cpu().numpy())).float() / 255.0
+            # not the cache's mask: at its 16 bits, pixels covered by exactly one half would count as
+            # foreground
+            mask = load_mask(frame, width=width, height=height)
+            yield ImagePair(frame.name, prediction, trainer.pixels[index].image, mask=mask)
+
+    protocol = {
+        "split": f"test frames of --split {trainer.plan.settings.split}",
+        "size": [width, height],
+        "bits": "8-bit predictions, box-resized truth",
+        "parameters": "as tracked",
+    }
+    return evaluate_images(pairs(), lpips=lpips, protocol=protocol)
+
+
+def write_result(folder: Path, trainer: Trainer, record: dict[str, Any]) -> None:
+    """Write the avatar with its frames: fine-tuned parameters where it trained, the tracker's elsewhere."""
+    trainer.avatar.save(folder, record=record)
+    frames = trainer.sequence.frames
+    fitted = {
+        index: trainer.tracked.frame(row, frames[index].parameters)
+        for row, index in enumerate(trainer.sequence.train)
+    }
+    parts = [(index, "test") for index in trainer.sequence.test] + [
+        (index, "train") for index in trainer.sequence.train
+    ]
+    driving = [
+        DrivingFrame(
+            frames[index].name,
+            fitted.get(index, frames[index].parameters),
+            trainer.camera(frames[index]),
+            part,
+        )
+        for index, part in parts
+    ]
+    write_frames(folder, driving)
+
+
+def summary(results: dict[str, Any], *, out: Path, data: Path) -> str:
+    """The end of a run in words: where the avatar is, a table of its scores, and what to do next.
+
+    Args:
+        results: As `score` gives them.
+        out: The run folder.
+        data: The dataset's folder.
+    """
+    width, height = results["protocol"]["size"]
+    named = {
+        name: format.format(results[key])
+        for key, (name, format) in ROWS.items()
+        if results.get(key) is not None
+    }
+    if results["lpips"] is None:
+        named["LPIPS"] = f"none: {results['lpips_reason']}"
+    column = max(map(len, named))
+    program = "python -m samira_warp"
+    return "\n".join(
+        [
+            f"the avatar is in {out / 'avatar'}; on {len(results['frames'])} test frames of {width} x {height}:",
+            *(f"  {name:<{column}}  {value}" for name, value in named.items()),
+            "next, its pictures, the same under another light, and scores by region or layer:",
+            f"  {program}.render --avatar {out} --out {out / 'render'} --layers image albedo normal --video",
+            f"  {program}.render --avatar {out} --out {out / 'relit'} --env FILE.hdr --background env",
+            f"  {program}.evaluate --pred {out / 'render' / 'image'} --data {data}",
+        ]
+    )
