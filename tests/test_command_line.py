@@ -92,6 +92,16 @@ def test_a_verbs_module_is_the_same_command(verb):
     assert done.stdout.startswith(f"usage: python -m samira_warp.{verb} ")
 
 
+@pytest.mark.parametrize(
+    ("option", "value", "expected"),
+    [("--region", "chin", "one of forehead"), ("--roughness", "rough", "a factor"), ("--exposure", "-1", "")],
+)
+def test_what_a_library_calls_an_argument_is_named_as_the_option_that_it_is(capsys, option, value, expected):
+    words = ["render", "--avatar", "none", "--out", "none", "--specular", "x2", option, value]
+    assert main(words) == 2
+    assert capsys.readouterr().err.startswith(f"error: {option}: expected {expected}")
+
+
 def test_help_into_head_is_quiet():
     read, write = os.pipe()
     os.close(read)

@@ -1,4 +1,4 @@
-"""A wheel and an sdist as a user gets them: built, installed into an environment of their own, and run there."""
+"""A wheel and an sdist as a user gets them: built, installed in an environment of its own, and run."""
 
 import os
 import shutil
@@ -28,7 +28,7 @@ def done(*command, **options):
 
 @pytest.fixture(scope="module")
 def built(tmp_path_factory):
-    """The folder of an sdist and of the wheel that was built from it, of a copy: builds leave files behind."""
+    """The folder of an sdist and of a wheel that was built from it, off a copy: builds leave files behind."""
     folder = tmp_path_factory.mktemp("package")
     left_out = shutil.ignore_patterns(".*", "runs", "build", "dist", "*.egg-info", "__pycache__")
     shutil.copytree(ROOT, folder / "source", ignore=left_out)

@@ -1,4 +1,4 @@
-"""``samira-warp bench``, or ``python -m samira_warp.bench raster|light|avatar|train``: where the time goes."""
+"""``samira-warp bench WHAT``, or ``python -m samira_warp.bench``: where the time goes."""
 
 from __future__ import annotations
 

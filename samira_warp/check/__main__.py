@@ -1,4 +1,4 @@
-"""``samira-warp check``, or ``python -m samira_warp.check``: what a dataset holds and all that is wrong with it."""
+"""``samira-warp check``, or ``python -m samira_warp.check``: what a dataset holds and what is wrong."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``samira-warp evaluate``, or ``python -m samira_warp.evaluate``: scores images, prints one JSON object."""
+"""``samira-warp evaluate``, or ``python -m samira_warp.evaluate``: scores as one JSON object."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``samira-warp prepare``, or ``python -m samira_warp.prepare VIDEO --out DIR``: from a video to a dataset."""
+"""``samira-warp prepare VIDEO``, or ``python -m samira_warp.prepare``: from a video to a dataset."""
 
 from __future__ import annotations
 

@@ -6,10 +6,10 @@ import errno
 
 
 class UserError(ValueError):
-    """Input that cannot be used: the message names the file or argument, what was expected and what was found.
+    """Input that cannot be used: the message says where, what was expected and what was found.
 
-    The command line prints the message on one line of standard error and exits with status 2; from Python it
-    is an ordinary ValueError.
+    Where is the file's or the argument's name. The command line prints the message on one line of standard
+    error and exits with status 2; from Python it is an ordinary ValueError.
 
     Attributes:
         subject: The file or argument.

@@ -1,4 +1,4 @@
-"""Packages that name what they offer without loading it: torch takes seconds, and ``--help`` needs none of it."""
+"""Packages that name what they offer without loading it: torch takes seconds, and ``--help`` needs none."""
 
 from __future__ import annotations
 

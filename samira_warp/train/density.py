@@ -75,11 +75,10 @@ def control_density(
     cap: int,
     generator: torch.Generator,
 ) -> DensityChange:
-    """Clone or split where the screen-space gradient is large, and remove what is faint; every face keeps at
-    least one.
+    """Clone or split where the screen-space gradient is large, and remove what is faint.
 
-    Children stay on their parent's face. A split draws two children from the parent's own distribution in the
-    triangle's frame.
+    Every face keeps at least one. Children stay on their parent's face. A split draws two children from the
+    parent's own distribution in the triangle's frame.
 
     Args:
         gaussians: The Gaussians before the event; UV coordinates of the result are the parents' and want

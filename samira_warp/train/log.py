@@ -1,6 +1,4 @@
-"""What a run leaves behind while it trains: metrics.jsonl, TensorBoard events, preview grids, the progress
-bar.
-"""
+"""What a run shows while it trains: metrics.jsonl, TensorBoard events, preview grids, the progress bar."""
 
 from __future__ import annotations
 
@@ -47,8 +45,9 @@ class RunLog:
         self._board.close()
 
     def add(self, step: int, terms: dict[str, torch.Tensor], *, gaussians: int) -> None:
-        """Add one step's detached scalars; every LOG_EVERY steps, and at the last one, their means are
-        written.
+        """Add one step's detached scalars.
+
+        Their means are written every LOG_EVERY steps, and at the last one.
 
         Args:
             step: Number of steps done.
@@ -89,8 +88,10 @@ class RunLog:
 
 
 def preview_grid(rendering: Rendering, truth: torch.Tensor, light: Environment) -> np.ndarray:
-    """(H, 5 W + 2 (H // 2), 3) display values: image | truth | albedo | normal | specular light, each on
-    white, and `light_panel`.
+    """Image | truth | albedo | normal | specular light, each on white, and `light_panel`.
+
+    Returns:
+        (H, 5 W + 2 (H // 2), 3) display values.
     """
     gbuffer = rendering.gbuffer
     alpha = gbuffer.alpha
@@ -104,10 +105,12 @@ def preview_grid(rendering: Rendering, truth: torch.Tensor, light: Environment) 
 
 
 def light_panel(light: Environment, *, height: int) -> torch.Tensor:
-    """(height, 2 (height // 2), 3) display values: the diffuse map above the specular one, as panoramas,
-    white where a row is left.
+    """The diffuse map above the specular one, as panoramas, white where a row is left.
 
     Radiance x is shown as x / (1 + x), which leaves no lamp without its colour.
+
+    Returns:
+        (height, 2 (height // 2), 3) display values.
     """
     half = height // 2
     maps = [cube_to_equirect(radiance, height=half) for radiance in (light.diffuse, light.specular)]

@@ -108,8 +108,8 @@ def total_loss(
         terms["residual"] = weights.residual * residual_prior(rendering.motion, avatar.canonical.atlas.valid)
     if perceptual is not None:
         terms["lpips"] = weights.lpips * perceptual(rendering.image, target.image)
-    if target.albedo is not None:
-        terms["albedo"] = weights.albedo * albedo_loss(rendering.gbuffer.albedo, target)
+    if target.albedo is not None and target.mask is not None:
+        terms["albedo"] = weights.albedo * albedo_loss(rendering.gbuffer.albedo, target.albedo, target.mask)
     if stage_two:
         terms["normal_smoothness"] = weights.normal_smoothness * normal_smoothness(
             rendering.gbuffer.normal, rendering.gbuffer.alpha
@@ -122,8 +122,11 @@ def total_loss(
 
 
 def residual_prior(motion: Motion, valid: torch.Tensor) -> torch.Tensor:
-    """Mean square over the (H, W) valid texels of the residual's position and rotation, each as a share of
-    its limit (s_mu and pi).
+    """Mean square of the residual's position and rotation, each as a share of its limit (s_mu and pi).
+
+    Args:
+        motion: With the residual's UV maps.
+        valid: (H, W) texels of the atlas, over which the mean goes.
     """
     position, rotation = motion.residual_position / POSITION_LIMIT, motion.residual_rotation / torch.pi
     squares = (position.square() + rotation.square()).mean(dim=-1)
@@ -146,20 +149,27 @@ def normal_smoothness(normal: torch.Tensor, alpha: torch.Tensor) -> torch.Tensor
 
 
 def normal_prior(normals: torch.Tensor, initial: torch.Tensor) -> torch.Tensor:
-    """L_n^prior: mean of 1 - n^c . n^m over (N, 3) canonical normals, normalised here, and their unit
-    initialisation.
+    """L_n^prior: mean of 1 - n^c . n^m over canonical normals.
+
+    Args:
+        normals: (N, 3), normalised here.
+        initial: (N, 3) unit, what they started as.
     """
     return (1.0 - (torch.nn.functional.normalize(normals, dim=-1) * initial).sum(-1)).mean()
 
 
-def albedo_loss(albedo: torch.Tensor, target: Target) -> torch.Tensor:
-    """L_alb: mean absolute difference of straight linear albedo (H, W, 3) inside the matte."""
-    inside = (target.mask > ALBEDO_MASK).to(albedo.dtype)[..., None]
-    return (inside * (albedo - target.albedo).abs()).sum() / (3.0 * inside.sum()).clamp(min=1.0)
+def albedo_loss(albedo: torch.Tensor, truth: torch.Tensor, mask: torch.Tensor) -> torch.Tensor:
+    """L_alb: mean absolute difference of straight linear albedo inside the matte.
+
+    Args:
+        albedo: (H, W, 3), rendered.
+        truth: (H, W, 3) pseudo-albedo.
+        mask: (H, W) matte.
+    """
+    inside = (mask > ALBEDO_MASK).to(albedo.dtype)[..., None]
+    return (inside * (albedo - truth).abs()).sum() / (3.0 * inside.sum()).clamp(min=1.0)
 
 
 def linear_albedo(albedo: torch.Tensor, *, color_space: str) -> torch.Tensor:
-    """Pseudo-albedo as it is compared: decoded from sRGB, or as stored where shading works in image
-    values.
-    """
+    """Pseudo-albedo as it is compared: decoded from sRGB, or as stored where shading is in image values."""
     return decode_srgb(albedo) if color_space == "srgb" else albedo

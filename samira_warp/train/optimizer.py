@@ -53,8 +53,9 @@ def reset_moments(optimizer: torch.optim.Adam, group_name: str) -> None:
 def replace_gaussians(
     optimizer: torch.optim.Adam, old: Gaussians, new: Gaussians, kept: torch.Tensor
 ) -> None:
-    """Put new Gaussians in the optimiser, with the moments of those that stay and zero moments for those that
-    are new.
+    """Put new Gaussians in the optimiser.
+
+    Those that stay keep their moments, those that are new have moments of zero.
 
     Args:
         optimizer: The optimiser that holds ``old``.

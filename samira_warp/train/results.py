@@ -99,7 +99,8 @@ def summary(results: dict[str, Any], *, out: Path, data: Path) -> str:
     program = "python -m samira_warp"
     return "\n".join(
         [
-            f"the avatar is in {out / 'avatar'}; on {len(results['frames'])} test frames of {width} x {height}:",
+            f"the avatar is in {out / 'avatar'}; "
+            f"on {len(results['frames'])} test frames of {width} x {height}:",
             *(f"  {name:<{column}}  {value}" for name, value in named.items()),
             "next, its pictures, the same under another light, and scores by region or layer:",
             f"  {program}.render --avatar {out} --out {out / 'render'} --layers image albedo normal --video",

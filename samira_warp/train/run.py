@@ -7,10 +7,10 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from samira_subject.cache import built_in_subject, subject_folder
 from samira_warp.avatar import Avatar
 from samira_warp.check.opening import open_checked
 from samira_warp.data import PixelCache, Sequence
+from samira_warp.data.subjects import MadeSubject, made_subject
 from samira_warp.evaluate import Lpips, find_lpips
 from samira_warp.evaluate.config import LpipsNet
 from samira_warp.evaluate.lpips import SMALLEST_IMAGE
@@ -62,16 +62,15 @@ def train(config: TrainConfig) -> Path | None:
 def _train(config: TrainConfig, out: Path) -> Path | None:
     """The run, in its folder."""
     begun = find_begun(out, resume=config.resume)
-    settings = resolve(
-        config, data=_data(config, begun), out=out, begun=None if begun is None else begun.settings
-    )
+    data, made = _dataset(config, begun)
+    settings = resolve(config, data=data, out=out, begun=None if begun is None else begun.settings)
     check_size((settings.resolution, settings.resolution), resolution=settings.resolution)
     lpips = find_lpips(TRAINING_LPIPS[settings.preset], settings.lpips_weights)
     if config.resume and (begun is None or begun.checkpoint is None):
         print(f"no checkpoint in {out} yet: starting from the beginning", file=sys.stderr)
-    if settings.data == subject_folder():
-        print(f"no --data: the built-in subject, in {settings.data}", file=sys.stderr)
-        built_in_subject()
+    if made is not None:
+        print(f"no --data: the built-in subject, in {data}", file=sys.stderr)
+        made.dataset()
     sequence = open_checked(settings.data, split=settings.split, flame=settings.flame)
     plan = make_plan(settings, sequence, config, begun=begun)
     check_size(plan.size, resolution=settings.resolution)
@@ -107,16 +106,20 @@ def _at_its_beginning(
     return trainer, _going_on(begun, facts)
 
 
-def _data(config: TrainConfig, begun: Begun | None) -> Path:
-    """The dataset's folder: as asked for, else as the run was begun, else the built-in subject's.
+def _dataset(config: TrainConfig, begun: Begun | None) -> tuple[Path, MadeSubject | None]:
+    """The dataset's folder, and who makes it if it is the built-in subject's.
 
-    The built-in subject may be kept elsewhere by now, or have to be made again.
+    It is the one asked for, else the one that the run was begun with, else the built-in subject's. That may
+    be kept elsewhere by now, or have to be made again.
     """
-    data = config.data if begun is None or config.data is not None else begun.settings["data"]
-    if data is None or (config.data is None and not data.exists()):
-        folder = subject_folder()
-        return folder if data is None or data.name == folder.name else data
-    return data
+    if config.data is not None:
+        return config.data, None
+    recorded = None if begun is None else begun.settings["data"]
+    if recorded is not None and recorded.exists():
+        return recorded, None
+    built_in = made_subject()
+    folder = built_in.folder()
+    return (folder, built_in) if recorded is None or recorded.name == folder.name else (recorded, None)
 
 
 def _going_on(begun: Begun, facts: dict[str, Any]) -> dict[str, Any]:
@@ -159,9 +162,7 @@ def _run_to_its_end(trainer: Trainer, record: dict[str, Any]) -> bool:
 
 
 def _finish(trainer: Trainer, lpips: Lpips | str, record: dict[str, Any]) -> None:
-    """Write the avatar, score it, and say where it is: one JSON line of scores on standard output, words on
-    standard error.
-    """
+    """Write the avatar and score it: words on standard error, a JSON line of scores on standard output."""
     settings = trainer.plan.settings
     replace_folder(settings.out / AVATAR_FOLDER, lambda folder: write_result(folder, trainer, record))
     try:
@@ -186,8 +187,8 @@ def _announce(plan: TrainPlan, sequence: Sequence, lpips: Lpips | str, encoder: 
     if smallest.width < plan.size[0]:
         own = max(smallest.width, smallest.height)
         lines.append(
-            f"pictures of {smallest.width} x {smallest.height} pixels are enlarged to "
-            f"{plan.size[0]} x {plan.size[1]}, which adds no detail: --resolution {own} trains at their own size"
+            f"pictures of {smallest.width} x {smallest.height} pixels are enlarged to {plan.size[0]} x "
+            f"{plan.size[1]}, which adds no detail: --resolution {own} trains at their own size"
         )
     lines.append(f"image encoder: {encoder}")
     if isinstance(lpips, str):

@@ -148,7 +148,7 @@ class Schedule:
         )
 
     def _begin(self, share: float) -> float:
-        """The step at which what begins at a share of the run did or will begin, by the length it had then."""
+        """The step at which what begins at a share of the run did or will begin, by its length then."""
         reached = 0
         for length in self.earlier:
             if share * length.steps <= length.until - 1:

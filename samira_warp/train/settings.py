@@ -191,7 +191,7 @@ def _fits(value: Any, hint: Any) -> bool:
     return isinstance(value, hint) and not (hint is int and isinstance(value, bool))
 
 
-def _device(asked: DeviceName | None, begun: str | None) -> str:
+def _device(asked: DeviceName | None, begun: DeviceName | None) -> str:
     """The device asked for; else the one that the run was begun on, if this machine has it; else any."""
     if asked is None and begun is not None:
         with contextlib.suppress(UserError):

@@ -90,8 +90,6 @@ def start(plan: TrainPlan, sequence: Sequence, pixels: PixelCache) -> Start:
 
 
 def _mean_light(appearance: torch.Tensor, albedo: torch.Tensor, canonical: CanonicalHead) -> torch.Tensor:
-    """(3,) radiance of the uniform light that gives the mean colour of (h, w, 3) appearance to (h, w, 3)
-    albedo.
-    """
+    """(3,) radiance of the uniform light under which (h, w, 3) albedo has the appearance's mean colour."""
     valid = canonical.atlas.valid
     return appearance[valid].mean(dim=0) / albedo[valid].mean(dim=0).clamp(min=1e-3)

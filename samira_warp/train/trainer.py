@@ -83,8 +83,11 @@ class Trainer:
         return path
 
     def train_step(self) -> tuple[Rendering, Target, dict[str, torch.Tensor]]:
-        """One frame forward, backward and updated; the rendering, what it should be, and the detached loss
-        terms.
+        """One frame forward, backward and updated.
+
+        Returns:
+            The rendering, what it should be, and the detached loss terms by name with ``mse``, the mean
+            squared error of the image.
         """
         if self.schedule.extended_at(self.step):
             # what was gathered before belongs to a window that had closed
@@ -118,9 +121,7 @@ class Trainer:
         return frame.camera.resized(width=width, height=height).to(self.device)
 
     def _row(self, step: int) -> int:
-        """The training frame of a step: a fresh permutation every epoch, from the seed and the epoch
-        alone.
-        """
+        """The training frame of a step: a permutation for every epoch, from the seed and the epoch alone."""
         count = len(self.sequence.train)
         epoch, place = divmod(step, count)
         generator = torch.Generator().manual_seed(self.settings.seed * 1_000_003 + epoch)
@@ -135,8 +136,9 @@ class Trainer:
         content = self.pixels[index]
         matted = bool((content.mask < 1.0).any())
         content = content.to(self.device)
-        wanted = matted and content.albedo is not None and self.weights.albedo > 0.0
-        albedo = linear_albedo(content.albedo, color_space=self.settings.color_space) if wanted else None
+        albedo = content.albedo if matted and self.weights.albedo > 0.0 else None
+        if albedo is not None:
+            albedo = linear_albedo(albedo, color_space=self.settings.color_space)
         return self.sequence.frames[index], Target(content.image, content.mask if matted else None, albedo)
 
     def _perceptual_turn(self) -> bool:

@@ -209,3 +209,19 @@ def test_train_takes_the_subject_that_is_there(tiny_dataset, tmp_path, monkeypat
     run = Path("runs") / "built_in"
     assert json.loads((run / "config.json").read_text())["settings"]["data"] == str(folder)
     assert (run / "results.json").is_file()
+
+
+def test_a_run_on_the_subject_goes_on_where_it_is_kept_by_then(tiny_dataset, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    options = ("--preset", "cpu", "--device", "cpu", "--encoder", "random", "--max-steps", "2")
+    before = cache.subject_folder()
+    shutil.copytree(tiny_dataset, before)
+    (before / "dataset.json").write_text(facts())
+    assert train_command(*options) == 0
+    monkeypatch.setenv("SAMIRA_WARP_CACHE", str(tmp_path / "elsewhere"))
+    folder = cache.subject_folder()
+    folder.parent.mkdir(parents=True)
+    before.rename(folder)
+    capsys.readouterr()
+    assert train_command("--resume") == 0
+    assert f"no --data: the built-in subject, in {folder}\n" in capsys.readouterr().err

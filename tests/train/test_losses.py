@@ -140,9 +140,9 @@ def test_albedo_is_compared_only_inside_the_matte_and_only_where_there_is_one(sc
     mask[5, 6] = 0.95
     albedo = target.albedo.clone()
     albedo[3, 4] += torch.tensor([0.1, -0.2, 0.3], device=albedo.device)
-    value = albedo_loss(albedo, Target(target.image, mask, target.albedo))
+    value = albedo_loss(albedo, target.albedo, mask)
     assert float(value) == pytest.approx(0.2, rel=1e-5)
-    assert float(albedo_loss(albedo, Target(target.image, torch.zeros_like(mask), target.albedo))) == 0.0
+    assert float(albedo_loss(albedo, target.albedo, torch.zeros_like(mask))) == 0.0
     absent = target._replace(albedo=None)
     assert "albedo" not in total_loss(rendering, absent, avatar, WEIGHTS, stage_two=True, perceptual=None)
 

@@ -1,5 +1,6 @@
 """What a user can get wrong: exit status 2 and one line that names it, before the run folder is touched."""
 
+import errno
 import json
 import os
 import shutil
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 import torch
 from data.damage import change_arrays, change_json, cut, widen, with_value
+from filelock import FileLock
 from subjects import STEPS, train_arguments, train_command
 
 from samira_warp import Avatar
@@ -120,7 +122,7 @@ def test_images_too_small_for_ssim_are_refused(tiny_dataset, tmp_path, capsys):
     [
         ([], "runs/built_in: expected a new folder"),
         (["--out", "mine"], "mine: expected a folder, found a file"),
-        (["--out", "mine/run"], "mine/run: expected a folder that can be written and locked"),
+        (["--out", "mine/run"], "mine/run: expected a folder that can be written"),
         (["--out", "done"], "done: expected a new folder, found a finished avatar"),
         (["--out", "done", "--resume"], "done/checkpoints: expected a checkpoint"),
         (["--out", "other", "--resolution", "8"], "--resolution 8"),
@@ -220,10 +222,8 @@ def test_what_is_no_dataset_is_said_to_be_what_it_is(tmp_path, capsys, name):
 def test_two_trainings_do_not_share_a_folder(tiny_dataset, tmp_path, capsys):
     with claimed(tmp_path / "run"):
         message = refused(capsys, *train_arguments(tiny_dataset, tmp_path / "run"))
-        assert (
-            message
-            == f"error: {tmp_path / 'run'}: expected a folder that no other training uses, found one at work in it"
-        )
+        expected = "expected a folder that no other training uses, found one at work in it"
+        assert message == f"error: {tmp_path / 'run'}: {expected}"
     # nothing was written, so nothing is left
     assert not (tmp_path / "run").exists()
 
@@ -244,6 +244,29 @@ def test_a_training_keeps_others_out_from_its_beginning_to_its_end(
     assert refusals == [2]
     assert f"{run}: expected a folder that no other training uses" in capsys.readouterr().err
     assert not (run / ".lock").exists()
+
+
+@pytest.mark.parametrize(
+    "error", [NotImplementedError("no flock"), OSError(errno.ENOLCK, "No locks available")]
+)
+def test_where_there_are_no_locks_training_goes_on_and_says_so(
+    tiny_dataset, tmp_path, capsys, monkeypatch, error
+):
+    def acquire(*arguments, **options):
+        raise error
+
+    monkeypatch.setattr(FileLock, "acquire", acquire)
+    arguments = train_arguments(tiny_dataset, tmp_path / "run")
+    arguments[arguments.index(str(STEPS))] = "1"
+    assert train_command(*arguments) == 0
+    assert f"{tmp_path / 'run'}: no locks there" in capsys.readouterr().err
+
+
+def test_a_run_folder_that_cannot_be_written_is_named_before_the_dataset_is_read(tmp_path, capsys):
+    (tmp_path / "file").write_text("mine")
+    run = tmp_path / "file" / "run"
+    message = refused(capsys, *train_arguments(tmp_path / "nowhere", run))
+    assert message.startswith(f"error: {run}: expected a folder that can be written, found ")
 
 
 def test_a_finished_avatar_without_its_checkpoints_is_not_overwritten(
