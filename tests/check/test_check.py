@@ -45,6 +45,7 @@ def faults(capsys, *arguments):
     assert check("--quick", *arguments) == 2
     captured = capsys.readouterr()
     lines = [line.removeprefix("fault: ") for line in captured.out.splitlines() if line.startswith("fault: ")]
+    assert captured.out.endswith("verdict:       cannot be trained on before its faults are mended\n")
     assert captured.err.count("\n") == 1
     return lines
 
@@ -55,6 +56,7 @@ def test_what_a_dataset_holds(tiny_dataset, capsys):
     assert vertices.startswith(f"{tiny_dataset / 'template.npz'}: 328 vertices, ")
     assert vertices.endswith("2 identity and 4 expression coefficients")
     assert said == {
+        "verdict": f"can be trained on: python -m samira_warp.train --data {tiny_dataset}",
         "folder": str(tiny_dataset),
         "format": "VHAP export",
         "frames": "6 at 6 timesteps",
