@@ -5,6 +5,7 @@ import pkgutil
 import re
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -100,6 +101,29 @@ def test_what_a_library_calls_an_argument_is_named_as_the_option_that_it_is(caps
     words = ["render", "--avatar", "none", "--out", "none", "--specular", "x2", option, value]
     assert main(words) == 2
     assert capsys.readouterr().err.startswith(f"error: {option}: expected {expected}")
+
+
+def test_an_output_folder_is_tried_before_anything_long_begins(capsys, tmp_path):
+    """The avatar is not there either, and would be looked for next."""
+    (tmp_path / "file").write_text("mine")
+    assert main(["render", "--avatar", "none", "--out", str(tmp_path / "file" / "out")]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith(
+        f"error: {tmp_path / 'file' / 'out'}: expected a folder that can be written, found "
+    )
+
+
+@pytest.mark.skipif(
+    not Path("/proc/self").exists(), reason="needs a folder that not even root may write into"
+)
+@pytest.mark.parametrize("verb", ["export", "check"])
+def test_the_folder_of_an_output_file_is_tried_before_anything_long_begins(capsys, verb):
+    names = {
+        "export": ["--avatar", "none", "--out", "/proc/avatar.ply"],
+        "check": ["--data", "none", "--out", "/proc/sheet.png"],
+    }
+    assert main([verb, *names[verb]]) == 2
+    assert capsys.readouterr().err.startswith("error: /proc: expected a folder that can be written, found ")
 
 
 def test_help_into_head_is_quiet():

@@ -11,6 +11,7 @@ from samira_warp.avatar.storage import find_avatar
 from samira_warp.export.config import ExportConfig
 from samira_warp.export.formats import FORMATS
 from samira_warp.export.splats import frame_splats
+from samira_warp.io.files import check_writable
 from samira_warp.stage.frames import frame_at
 from samira_warp.stage.lights import read_light
 
@@ -35,6 +36,7 @@ def export(config: ExportConfig) -> Exported:
         UserError: The avatar, the frame, the light or an option cannot be used.
     """
     config.check()
+    check_writable(config.out.parent)
     folder = find_avatar(config.avatar)
     avatar = Avatar.load(folder)
     frame = frame_at(read_frames(folder), config.frame)

@@ -15,6 +15,7 @@ from tqdm import tqdm
 from samira_warp.avatar import Avatar, DrivingFrame, MaterialEdit
 from samira_warp.avatar.storage import find_avatar
 from samira_warp.geometry.camera import Camera
+from samira_warp.io.files import check_writable
 from samira_warp.io.images import write_png
 from samira_warp.light import Environment
 from samira_warp.render.config import RenderConfig
@@ -56,6 +57,7 @@ def render(config: RenderConfig) -> int:
             expected="one light",
             found=f"--env {config.env[0]}, a folder of maps, which makes a contact sheet",
         )
+    check_writable(config.out)
     device = pick_device(config.device)
     folder = find_avatar(config.avatar)
     avatar = Avatar.load(folder, device=device)
