@@ -14,7 +14,7 @@ from pathlib import Path
 
 from samira_subject.alone import alone
 from samira_subject.cast import build_cast
-from samira_subject.make import Light, make_subject
+from samira_subject.make import DatasetLight, make_subject
 from samira_subject.performance import perform
 from samira_subject.plan import SIZE, TEXELS, SubjectPlan
 from samira_subject.raycaster import Effort
@@ -122,7 +122,7 @@ def _write_preview(config: SubjectConfig, path: Path) -> None:
     )
     studio = Studio(cast, size=config.preview_size, effort=PREVIEW_EFFORT)
     picture = studio.take(
-        studio.pose(performance.frame(config.frame)), Light(config.light).tables, seed=config.seed
+        studio.pose(performance.frame(config.frame)), DatasetLight(config.light).tables, seed=config.seed
     )
     write_png(path, developed(picture))
 
