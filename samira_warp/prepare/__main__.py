@@ -11,7 +11,7 @@ from samira_warp.support.cli import run
 
 def main(config: PrepareConfig) -> None:
     """Prepare, and say how to go on."""
-    from samira_warp.prepare.prepare import prepare
+    from samira_warp.prepare.run import prepare
 
     try:
         dataset = prepare(config)
