@@ -16,7 +16,7 @@ from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
 import torch
-from relight_table import AvatarPrediction, at_size, pairs, read_lights
+from relight_table import AvatarPrediction, at_size, matte_of, pairs, read_lights
 from torch import Tensor
 
 from samira_warp.avatar import Avatar, DrivingFrame, read_frames
@@ -105,11 +105,12 @@ def main(config: CompareConfig) -> None:
     ) as pixels:
         for name in config.only:
             avatar = _fit(config, VARIANTS[name], sequence, pixels)
-            rows.append({"variant": name, **_score(config, avatar, sequence)})
+            scores = _score(config, avatar, sequence)
+            rows.append({"variant": name, **scores, "settings": asdict(VARIANTS[name])})
             if not config.json:
-                _print_row(rows[-1], header=len(rows) == 1)
+                _print_row({"variant": name, **scores}, header=len(rows) == 1)
     if config.json:
-        print(json.dumps([{**row, "settings": asdict(VARIANTS[row["variant"]])} for row in rows]))
+        print(json.dumps(rows))
 
 
 def _open_own(config: CompareConfig) -> Sequence:
@@ -267,7 +268,7 @@ def _albedo_score(config: CompareConfig, avatar: Avatar, sequence: Sequence) -> 
         truth = at_size(
             read_image(config.data / "gt" / "albedo" / f"{frame.name}.png", channels=3), config.resolution
         )
-        inside = at_size(read_image(frame.mask_path, channels=1), config.resolution)[..., 0] > 0.95
+        inside = matte_of(frame, config.resolution) > 0.95
         camera = frame.camera.resized(width=config.resolution, height=config.resolution)
         albedo = avatar.render(frame.parameters, camera).albedo
         errors.append((albedo[inside] - truth[inside]).square().mean())

@@ -124,12 +124,23 @@ def pairs(
     if not shown:
         raise UserError(light.truth, expected="pictures named as the dataset's test frames", found="none")
     for frame in shown[min(4, len(shown) - 1) :: 10] if light.name == "capture" else shown:
-        mask = at_size(read_image(frame.mask_path, channels=1), resolution)[..., 0]
+        mask = matte_of(frame, resolution)
         truth = at_size(read_image(light.truth / f"{frame.name}.png", channels=3), resolution)
         image = predict(frame, frame.camera.resized(width=resolution, height=resolution), mask)
         yield ImagePair(
             frame.name, torch.from_numpy(to_uint8(image.numpy())).float() / 255.0, truth, mask=mask
         )
+
+
+def matte_of(frame: Frame, resolution: int) -> torch.Tensor:
+    """(H, W) coverage of a frame.
+
+    Raises:
+        UserError: The dataset has no mask of it.
+    """
+    if frame.mask_path is None:
+        raise UserError(frame.image_path, expected="a picture with a mask", found="none")
+    return at_size(read_image(frame.mask_path, channels=1), resolution)[..., 0]
 
 
 class AvatarPrediction(NamedTuple):
