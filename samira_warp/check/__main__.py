@@ -5,14 +5,10 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from samira_warp.check.config import CheckConfig
 from samira_warp.support.cli import run
 from samira_warp.support.errors import UserError
-
-if TYPE_CHECKING:
-    from samira_warp.check.report import Report
 
 
 def main(config: CheckConfig) -> None:
@@ -31,25 +27,18 @@ def main(config: CheckConfig) -> None:
     if not config.quick:
         check_writable(sheet.parent)
     report = check_dataset(config.data, split=config.split, flame=config.flame, quick=config.quick)
-    print(report.json() if config.json else f"{report.text()}\n{_verdict(report, config.data)}")
-    if report.sheet is not None:
-        write_png(sheet, report.sheet)
-        print(f"the mesh over its pictures: {sheet}", file=sys.stderr)
+    try:
+        if report.sheet is not None:
+            write_png(sheet, report.sheet)
+            print(f"the mesh over its pictures: {sheet}", file=sys.stderr)
+    finally:  # whether or not there is room for the sheet; the verdict is the last line
+        print(report.json() if config.json else report.text())
     if report.faults:
         raise UserError(
             config.data,
             expected="a dataset to train on",
             found=f"{report.faults} fault{'s' * (report.faults > 1)}",
         )
-
-
-def _verdict(report: Report, data: Path) -> str:
-    """The last line: whether training can begin, and how."""
-    if report.faults:
-        return "verdict:       cannot be trained on before its faults are mended"
-    warnings = len(report.findings)
-    judged = f" once somebody has judged its {warnings} warning{'s' * (warnings > 1)}" if warnings else ""
-    return f"verdict:       can be trained on{judged}: python -m samira_warp.train --data {data}"
 
 
 def command(arguments: Sequence[str] | None = None, program: str = "python -m samira_warp.check") -> int:

@@ -8,6 +8,7 @@ import numpy as np
 
 from samira_warp.check.views import View
 from samira_warp.data import Listing, Sequence
+from samira_warp.support.constants import TRAINING_SIZES
 
 
 def listing_facts(listing: Listing, *, divided: bool) -> dict[str, str]:
@@ -30,6 +31,20 @@ def listing_facts(listing: Listing, *, divided: bool) -> dict[str, str]:
         "albedo": f"{sum(frame.albedo_path is not None for frame in frames)} of {len(frames)} frames",
     }
     return facts if divided else {name: fact for name, fact in facts.items() if name != "split"}
+
+
+def size_notes(listing: Listing) -> tuple[str, ...]:
+    """A note where pictures are smaller than what the presets of train make of them."""
+    cameras = [frame.camera for frame in listing.frames]
+    smallest = min(cameras, key=lambda camera: max(camera.width, camera.height))
+    own = max(smallest.width, smallest.height)
+    larger = [f"{size} (preset {name})" for name, size in TRAINING_SIZES.items() if size > own]
+    if not larger:
+        return ()
+    return (
+        f"train enlarges pictures of {smallest.width} x {smallest.height} to {' or '.join(larger)}, "
+        f"which adds no detail: --resolution {own} trains at their own size",
+    )
 
 
 def head_facts(sequence: Sequence, views: list[View]) -> dict[str, str]:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+import shlex
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
 
 from samira_warp.check.drawing import mesh_sheet
-from samira_warp.check.facts import head_facts, listing_facts
+from samira_warp.check.facts import head_facts, listing_facts, size_notes
 from samira_warp.check.findings import Finding, in_lines
 from samira_warp.check.opening import open_collecting
 from samira_warp.check.pictures import undecodable, unlisted
@@ -28,30 +29,43 @@ class Report:
         findings: All that is wrong; faults of files first.
         sheet: (rows, columns, 3) float32 display values, the mesh over some frames; None where none could be
             drawn.
+        next_command: The command that trains on it.
     """
 
     facts: dict[str, str]
     notes: tuple[str, ...]
     findings: tuple[Finding, ...]
     sheet: np.ndarray | None
+    next_command: str
 
     @property
     def faults(self) -> int:
         """How many findings stand against training."""
         return sum(finding.severity == "fault" for finding in self.findings)
 
+    @property
+    def verdict(self) -> str:
+        """Whether it can be trained on, and what to do next."""
+        if self.faults:
+            stand = "1 fault stands" if self.faults == 1 else f"{self.faults} faults stand"
+            return f"it cannot be trained on: {stand} against it; mend what is said above, and check again"
+        warnings = len(self.findings)
+        judged = (
+            f", once you have judged the {warnings} warning{'s' * (warnings > 1)} above" if warnings else ""
+        )
+        return f"it can be trained on{judged}: {self.next_command}"
+
     def text(self) -> str:
-        """One fact or finding a line."""
+        """One fact or finding a line, and the verdict at the end."""
         named = [*self.facts.items(), *(("note", note) for note in self.notes)]
-        return "\n".join([*(f"{name + ':':<15}{value}" for name, value in named), *in_lines(self.findings)])
+        lines = [f"{name + ':':<15}{value}" for name, value in named]
+        return "\n".join([*lines, *in_lines(self.findings), f"{'verdict:':<15}{self.verdict}"])
 
     def json(self) -> str:
-        """The same as a JSON object: facts, notes, findings, and whether training can begin."""
+        """The same as a JSON object: whether training can begin, the verdict, facts, notes and findings."""
         findings = [asdict(finding) for finding in self.findings]
-        return json.dumps(
-            {"trainable": not self.faults, "facts": self.facts, "notes": self.notes, "findings": findings},
-            indent=1,
-        )
+        report = {"trainable": not self.faults, "verdict": self.verdict, "facts": self.facts}
+        return json.dumps(report | {"notes": self.notes, "findings": findings}, indent=1)
 
 
 def check_dataset(
@@ -70,8 +84,10 @@ def check_dataset(
     """
     opened = open_collecting(root, split=split, flame=flame)
     listing, sequence, findings = opened.listing, opened.sequence, list(opened.faults)
+    command = _train_command(root, split=split, flame=flame)
     if listing is None:
-        return Report({"folder": str(root), "format": recognise(root).name}, (), tuple(findings), None)
+        facts = {"folder": str(root), "format": recognise(root).name}
+        return Report(facts, (), tuple(findings), None, command)
     facts, sheet = listing_facts(listing, divided=opened.divided), None
     views = [] if sequence is None else sampled_views(sequence, opened.sound)
     if not quick:
@@ -87,4 +103,14 @@ def check_dataset(
             }
             sheet = mesh_sheet(views, sequence.template.faces, parts=parts if opened.divided else {})
     findings += unlisted(listing)
-    return Report(facts, listing.notes, tuple(findings), sheet)
+    return Report(facts, (*listing.notes, *size_notes(listing)), tuple(findings), sheet, command)
+
+
+def _train_command(root: Path, *, split: str, flame: Path | None) -> str:
+    """The command that trains on what was checked, as a shell takes it."""
+    words = ["python", "-m", "samira_warp.train", "--data", str(root)]
+    if flame is not None:
+        words += ["--flame", str(flame)]
+    if split != "dataset":
+        words += ["--split", split]
+    return shlex.join(words)

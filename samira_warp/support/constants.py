@@ -27,3 +27,6 @@ ROUGHNESS_MIN = 0.08
 DEGENERATE_TRIANGLE = 1e-5
 """A triangle lower than this share of its sides has no normal: float32 leaves its direction good to about one
 per cent."""
+
+TRAINING_SIZES = {"cpu": 256, "paper": 512}
+"""Pixels of the longer side of training images, by preset of train: check says which pictures are smaller."""

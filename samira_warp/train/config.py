@@ -8,6 +8,7 @@ from typing import Annotated, Literal, TypeVar
 
 import tyro
 
+from samira_warp.support.constants import TRAINING_SIZES
 from samira_warp.support.device_names import DeviceName
 
 Ablation = Literal[
@@ -48,10 +49,20 @@ class Preset:
 
 PRESETS: dict[PresetName, Preset] = {
     "cpu": Preset(
-        resolution=256, uv_size=128, gaussians=20_000, gaussian_cap=40_000, width=24, region_width=8
+        resolution=TRAINING_SIZES["cpu"],
+        uv_size=128,
+        gaussians=20_000,
+        gaussian_cap=40_000,
+        width=24,
+        region_width=8,
     ),
     "paper": Preset(
-        resolution=512, uv_size=256, gaussians=65_536, gaussian_cap=200_000, width=64, region_width=32
+        resolution=TRAINING_SIZES["paper"],
+        uv_size=256,
+        gaussians=65_536,
+        gaussian_cap=200_000,
+        width=64,
+        region_width=32,
     ),
 }
 

@@ -1,10 +1,13 @@
 """``python -m samira_warp.check``."""
 
+import io
 import json
 import os
+import shlex
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -15,13 +18,15 @@ from PIL import Image
 
 from samira_warp.check.__main__ import CheckConfig, main
 from samira_warp.check.drawing import CELL, mesh_overlay
+from samira_warp.check.facts import size_notes
 from samira_warp.check.findings import MOST_ALIKE
 from samira_warp.check.views import sampled_views
-from samira_warp.data import open_sequence
+from samira_warp.data import open_listing, open_sequence
 from samira_warp.data.pixels import load_pixels
 from samira_warp.io.images import read_image, write_png
 from samira_warp.support.cli import run
 from samira_warp.support.errors import UserError
+from samira_warp.train.config import TrainConfig
 
 
 @pytest.fixture
@@ -45,9 +50,16 @@ def faults(capsys, *arguments):
     assert check("--quick", *arguments) == 2
     captured = capsys.readouterr()
     lines = [line.removeprefix("fault: ") for line in captured.out.splitlines() if line.startswith("fault: ")]
-    assert captured.out.endswith("verdict:       cannot be trained on before its faults are mended\n")
+    assert "it cannot be trained on: " in verdict(captured.out)
     assert captured.err.count("\n") == 1
     return lines
+
+
+def verdict(said):
+    """What the last line of a report says."""
+    name, _, words = said.splitlines()[-1].partition(":")
+    assert name == "verdict"
+    return words.strip()
 
 
 def test_what_a_dataset_holds(tiny_dataset, capsys):
@@ -70,7 +82,85 @@ def test_what_a_dataset_holds(tiny_dataset, capsys):
         "distance": "0.96 to 0.98 metres from the camera",
         "masks": "6 of 6 frames",
         "albedo": "4 of 6 frames",
+        "note": "train enlarges pictures of 32 x 32 to 256 (preset cpu) or 512 (preset paper), which adds no "
+        "detail: --resolution 32 trains at their own size",
+        "verdict": f"it can be trained on: python -m samira_warp.train --data {tiny_dataset}",
     }
+
+
+@pytest.mark.parametrize(
+    ("sizes", "said"),
+    [
+        ([(512, 400), (600, 500)], None),
+        ([(512, 512), (400, 300)], "pictures of 400 x 300 to 512 (preset paper)"),
+        ([(200, 511)], "pictures of 200 x 511 to 512 (preset paper)"),
+        ([(255, 200)], "pictures of 255 x 200 to 256 (preset cpu) or 512 (preset paper)"),
+    ],
+)
+def test_pictures_that_training_would_enlarge(tiny_dataset, sizes, said):
+    listing = open_listing(tiny_dataset)
+    frames = [
+        replace(frame, camera=frame.camera.resized(width=width, height=height))
+        for frame, (width, height) in zip(listing.frames, sizes, strict=False)
+    ]
+    notes = size_notes(replace(listing, frames=tuple(frames)))
+    if said is None:
+        assert notes == ()
+    else:
+        (note,) = notes
+        assert f"train enlarges {said}, which adds no detail: --resolution {max(sizes[-1])} " in note
+
+
+def test_the_verdict_is_a_command_to_type(dataset, tmp_path, capsys):
+    """With the folder, the head and the division that were checked: the options of train read it back."""
+    folder = dataset.rename(tmp_path / "my subject")
+    flame = (folder / "template.npz").rename(tmp_path / "a head.npz")
+    said = facts(capsys, "--data", folder, "--flame", flame, "--split", "last:1")
+    words, command = said["verdict"].split(": ", 1)
+    assert words == "it can be trained on"
+    python, minus_m, module, *options = shlex.split(command)
+    assert (python, minus_m, module) == ("python", "-m", "samira_warp.train")
+    asked = []
+    assert run(asked.append, TrainConfig, program="train", arguments=options) == 0
+    (config,) = asked
+    assert (config.data, config.flame, config.split) == (folder, flame, "last:1")
+
+
+def test_the_verdict_counts_what_stands_against_it(dataset, capsys):
+    for path in (dataset / "fg_masks").iterdir():
+        write_png(path, np.roll(read_image(path, channels=3), 16, axis=1))
+    assert check("--quick", "--data", dataset) == 0
+    judged = "it can be trained on, once you have judged the 1 warning above: python -m samira_warp.train "
+    assert verdict(capsys.readouterr().out).startswith(judged)
+    for number, stand in ((0, "1 fault stands"), (1, "2 faults stand")):
+        (dataset / "flame_param" / f"{number:05d}.npz").unlink()
+        against = f"it cannot be trained on: {stand} against it; mend what is said above, and check again"
+        assert check("--quick", "--data", dataset) == 2
+        assert verdict(capsys.readouterr().out) == against
+    assert check("--quick", "--json", "--data", dataset) == 2
+    report = json.loads(capsys.readouterr().out)
+    assert (report["verdict"], report["trainable"]) == (against, False)
+
+
+def test_the_verdict_is_the_last_that_a_person_sees(dataset, tmp_path, monkeypatch):
+    screen = io.StringIO()
+    monkeypatch.setattr(sys, "stdout", screen)
+    monkeypatch.setattr(sys, "stderr", screen)
+    assert check("--data", dataset, "--out", tmp_path / "sheet.png") == 0
+    assert "sheet.png" in screen.getvalue()
+    assert verdict(screen.getvalue()).startswith("it can be trained on: ")
+
+
+def test_a_full_disk_loses_the_sheet_and_not_the_report(dataset, tmp_path, capsys, monkeypatch):
+    def fail(path, pixels):
+        raise OSError(28, "No space left on device", str(path))
+
+    monkeypatch.setattr("samira_warp.io.images.write_png", fail)
+    monkeypatch.setattr("samira_warp.check.__main__.write_png", fail, raising=False)
+    assert check("--data", dataset, "--out", tmp_path / "sheet.png") == 2
+    said = capsys.readouterr()
+    assert "sheet.png" in said.err
+    assert verdict(said.out).startswith("it can be trained on: ")
 
 
 def test_what_was_done_about_a_folder_is_said(tmp_path, capsys):
