@@ -49,18 +49,6 @@ class Gaussians(nn.Module):
     CONSTANTS = ("initial_normals", "faces", "uv")
     NAMES = (*PARAMETERS, *CONSTANTS)
 
-    means: nn.Parameter
-    log_scales: nn.Parameter
-    quaternions: nn.Parameter
-    opacity_logits: nn.Parameter
-    albedo_logits: nn.Parameter
-    roughness_logits: nn.Parameter
-    specular_logits: nn.Parameter
-    normals: nn.Parameter
-    initial_normals: Tensor
-    faces: Tensor
-    uv: Tensor
-
     def __init__(self, values: dict[str, Tensor]) -> None:
         """Take the tensors named by NAMES."""
         super().__init__()

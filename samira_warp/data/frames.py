@@ -31,7 +31,8 @@ class FrameFiles:
         albedo_path: The estimated albedo as display values, None where the frame has none.
         parameters_path: The file of the tracked parameters, which other frames may share.
         camera: The view at the image file's own size, through a pinhole.
-        lens: What bends the files' pictures, None where nothing does; they are made straight as they are read.
+        lens: What bends the files' pictures, None where nothing does; they are made straight as they are
+            read.
     """
 
     name: str

@@ -112,7 +112,7 @@ class _Reader:
         return folder.get(key_of(path.stem)) or folder.get(key_of(path.name))
 
     def albedo_of(self, image_path: Path) -> Path | None:
-        """The albedo of a picture: the dataset's own, or its recording's, beside the folder of its pictures."""
+        """The albedo of a picture: the dataset's own, or its recording's, beside its pictures' folder."""
         for folder in (self.root / "albedo", image_path.parent.parent / "albedo"):
             if folder not in self._folders:
                 self._folders[folder] = pictures_of(folder)
@@ -127,9 +127,9 @@ def _with_shared_values(path: Path, index: int, frame: object, document: dict[st
         raise UserError(path, expected=f"an object as frames[{index}]", found=type(frame).__name__)
     # a focal length of the file's must not stand beside a field of view of the frame's own
     states_focal = "fl_x" in frame or "camera_angle_x" in frame
-    shared = ("w", "h", "cx", "cy", "camera_model", "is_fisheye", *KEYS, *OTHERS)
+    shared = ["w", "h", "cx", "cy", "camera_model", "is_fisheye", *KEYS, *OTHERS]
     if not states_focal:
-        shared = (*shared, "fl_x", "fl_y", "camera_angle_x")
+        shared += ["fl_x", "fl_y", "camera_angle_x"]
     return {**{key: document[key] for key in shared if key in document}, **frame}
 
 

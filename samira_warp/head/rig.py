@@ -151,7 +151,7 @@ class Rig:
                 unposed = unposed + offset
         joints = self.joint_regressor @ unposed
 
-        # one list of joints, a node of its own: the bits of its gradient do not depend on who else has a share
+        # one list of joints, a node of its own: the bits of its gradient do not hang on who else has a share
         turns = axis_angle_to_matrix(parameters.rotations.reshape(-1, 3))
         rotations = turns.view(*parameters.rotations.shape, 3)
         unturned = torch.eye(3, dtype=rotations.dtype, device=rotations.device)
