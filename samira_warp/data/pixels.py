@@ -94,7 +94,7 @@ def load_mask(frame: FrameFiles, *, width: int, height: int) -> Tensor | None:
 
 
 def read_picture(frame: FrameFiles) -> np.ndarray:
-    """(H, W, 3) float32 display values of a frame's picture, on white if nothing is behind the head.
+    """(H, W, 3) float32 display values of a frame's picture with what is behind the head, else on white.
 
     Raises:
         UserError: The file is missing or cannot be decoded.
