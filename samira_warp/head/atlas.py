@@ -30,8 +30,8 @@ class UvAtlas:
 
     Attributes:
         size: H = W, texels.
-        valid: (H, W) bool, texels whose centre a face covers and those up to 2 texels beyond a chart's border,
-            which copy the nearest covered one.
+        valid: (H, W) bool, texels whose centre a face covers, and those up to 2 texels beyond a chart's
+            border, which copy the nearest covered one.
         region: (H, W) int8 index into REGIONS of every valid texel, else -1: the disjoint routing masks.
         soft_masks: (K, H, W) float32 routing masks softened within their charts; they sum to 1 where a
             texel's face is in some mask of the template, and are 0 elsewhere.
