@@ -22,7 +22,7 @@ from torch import Tensor
 from samira_warp.avatar import Avatar, DrivingFrame, read_frames
 from samira_warp.avatar.gaussians import INITIAL_ROUGHNESS, INITIAL_SPECULAR, ROUGHNESS_RANGE, SPECULAR_RANGE
 from samira_warp.avatar.storage import TEMPLATE_FILE, find_avatar, read_record
-from samira_warp.data import PixelCache, Sequence, open_sequence
+from samira_warp.data import PixelCache, TrackedSequence, open_sequence
 from samira_warp.evaluate import evaluate_images
 from samira_warp.io.images import read_image
 from samira_warp.kernels.gathering.gather import gather
@@ -113,7 +113,7 @@ def main(config: CompareConfig) -> None:
         print(json.dumps(rows))
 
 
-def _open_own(config: CompareConfig) -> Sequence:
+def _open_own(config: CompareConfig) -> TrackedSequence:
     """The dataset, divided as it was for training.
 
     Raises:
@@ -148,7 +148,7 @@ def _print_row(row: dict[str, str | float], *, header: bool) -> None:
     )
 
 
-def _fit(config: CompareConfig, variant: Variant, sequence: Sequence, pixels: PixelCache) -> Avatar:
+def _fit(config: CompareConfig, variant: Variant, sequence: TrackedSequence, pixels: PixelCache) -> Avatar:
     """The avatar with light and materials fitted anew."""
     avatar = _start_over(Avatar.load(config.avatar), variant, sequence, pixels)
     groups = {
@@ -178,7 +178,7 @@ def _fit(config: CompareConfig, variant: Variant, sequence: Sequence, pixels: Pi
     return avatar.requires_grad_(False)
 
 
-def _start_over(avatar: Avatar, variant: Variant, sequence: Sequence, pixels: PixelCache) -> Avatar:
+def _start_over(avatar: Avatar, variant: Variant, sequence: TrackedSequence, pixels: PixelCache) -> Avatar:
     """Initial light and materials on the avatar's geometry."""
     avatar.requires_grad_(False)
     avatar.settings = replace(
@@ -237,7 +237,7 @@ def _set_range(logits: Tensor, value: float, whole: tuple[float, float]) -> None
 
 
 @torch.no_grad()
-def _score(config: CompareConfig, avatar: Avatar, sequence: Sequence) -> dict[str, float]:
+def _score(config: CompareConfig, avatar: Avatar, sequence: TrackedSequence) -> dict[str, float]:
     """PSNR of the test frames under the learned light and under each true light.
 
     With their mean without the capture light, and the albedo's.
@@ -261,7 +261,7 @@ def _score(config: CompareConfig, avatar: Avatar, sequence: Sequence) -> dict[st
     }
 
 
-def _albedo_score(config: CompareConfig, avatar: Avatar, sequence: Sequence) -> float:
+def _albedo_score(config: CompareConfig, avatar: Avatar, sequence: TrackedSequence) -> float:
     """PSNR of every tenth test frame's albedo against gt/albedo, inside the matte."""
     errors = []
     for frame in [sequence.frames[index] for index in sequence.test[::10]]:

@@ -24,7 +24,7 @@ from torch import Tensor
 from samira_warp.avatar import Avatar
 from samira_warp.avatar.gaussians import INITIAL_ROUGHNESS, INITIAL_SPECULAR
 from samira_warp.avatar.storage import find_avatar
-from samira_warp.data import Frame, Sequence, open_sequence
+from samira_warp.data import Frame, TrackedSequence, open_sequence
 from samira_warp.evaluate import ImagePair, evaluate_images
 from samira_warp.geometry.camera import Camera
 from samira_warp.io.files import read_json
@@ -110,7 +110,7 @@ def read_lights(data: Path) -> Iterator[Light]:
 
 
 def pairs(
-    sequence: Sequence, light: Light, predict: AvatarPrediction | OraclePrediction, *, resolution: int
+    sequence: TrackedSequence, light: Light, predict: AvatarPrediction | OraclePrediction, *, resolution: int
 ) -> Iterator[ImagePair]:
     """Prediction and truth of each test frame that the light's folder has.
 

@@ -20,7 +20,7 @@ import numpy as np
 import torch
 
 from samira_warp.avatar import Avatar
-from samira_warp.data import Frame, Sequence, load_pixels, open_sequence
+from samira_warp.data import Frame, TrackedSequence, load_pixels, open_sequence
 from samira_warp.data.joints import FLAME_KEYS
 from samira_warp.evaluate import ImagePair, evaluate_images
 from samira_warp.evaluate.folders import read_region_names
@@ -72,7 +72,7 @@ def main(config: NoiseConfig) -> None:
 
 
 def _pairs(
-    config: NoiseConfig, avatar: Avatar, sequence: Sequence, truth: dict[str, np.ndarray]
+    config: NoiseConfig, avatar: Avatar, sequence: TrackedSequence, truth: dict[str, np.ndarray]
 ) -> Iterator[ImagePair]:
     light, size = avatar.light(), {"width": config.resolution, "height": config.resolution}
     for index in sequence.test[:: config.every]:

@@ -36,6 +36,18 @@ class Gaussians(nn.Module):
         uv: (N, 2) u_i of Alg. 1 (u right, v up), constant between refreshes.
     """
 
+    means: nn.Parameter
+    log_scales: nn.Parameter
+    quaternions: nn.Parameter
+    opacity_logits: nn.Parameter
+    albedo_logits: nn.Parameter
+    roughness_logits: nn.Parameter
+    specular_logits: nn.Parameter
+    normals: nn.Parameter
+    initial_normals: Tensor
+    faces: Tensor
+    uv: Tensor
+
     PARAMETERS = (
         "means",
         "log_scales",

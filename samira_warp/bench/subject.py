@@ -13,7 +13,7 @@ from samira_warp.geometry.camera import Camera
 from samira_warp.head import FLAME_JOINTS, FrameParameters, HeadTemplate
 from samira_warp.light import LearnableLight
 from samira_warp.nets import ConditionStatistics, MotionSettings, encode_reference
-from samira_warp.train.config import PRESETS
+from samira_warp.train.config import PRESETS, PresetName
 from samira_warp.train.initialize import initial_gaussians
 
 RINGS, SEGMENTS = 70, 71
@@ -89,7 +89,7 @@ def make_camera(size: int) -> Camera:
     return Camera(world_to_camera, FOCAL_SHARE * size, FOCAL_SHARE * size, 0.5 * size, 0.5 * size, size, size)
 
 
-def make_avatar(preset: str, *, device: torch.device | str) -> Avatar:
+def make_avatar(preset: PresetName, *, device: torch.device | str) -> Avatar:
     """An avatar of a preset's sizes, with opaque grey Gaussians and random reference features."""
     sizes = PRESETS[preset]
     canonical = CanonicalHead.build(

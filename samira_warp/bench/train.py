@@ -9,13 +9,13 @@ import torch
 from samira_warp.bench.subject import make_avatar, make_camera, make_parameters
 from samira_warp.bench.timing import Stopwatch, hardware, print_table, repeat
 from samira_warp.head import FrameParameters
-from samira_warp.train.config import PRESETS
+from samira_warp.train.config import PRESETS, PresetName
 from samira_warp.train.losses import LossWeights, Target, total_loss
 from samira_warp.train.optimizer import make_optimizer, set_rates
 from samira_warp.train.tracking import TrackedParameters
 
 
-def measure(device: torch.device, *, preset: str) -> dict[str, object]:
+def measure(device: torch.device, *, preset: PresetName) -> dict[str, object]:
     """Median milliseconds of a step in stage two, without LPIPS and without decoding images."""
     size = PRESETS[preset].resolution
     avatar, camera = make_avatar(preset, device=device), make_camera(size).to(device)

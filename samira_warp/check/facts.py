@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from samira_warp.check.views import View
-from samira_warp.data import Listing, Sequence
+from samira_warp.data import Listing, TrackedSequence
 from samira_warp.support.constants import TRAINING_SIZES
 
 
@@ -47,7 +47,7 @@ def size_notes(listing: Listing) -> tuple[str, ...]:
     )
 
 
-def head_facts(sequence: Sequence, views: list[View]) -> dict[str, str]:
+def head_facts(sequence: TrackedSequence, views: list[View]) -> dict[str, str]:
     """What is known of the head, its motion, and where it is.
 
     Args:
@@ -75,7 +75,7 @@ def head_facts(sequence: Sequence, views: list[View]) -> dict[str, str]:
     return facts
 
 
-def _template(path: Path, sequence: Sequence) -> str:
+def _template(path: Path, sequence: TrackedSequence) -> str:
     template = sequence.template
     size = f"{len(template.v_template)} vertices, {len(template.faces)} faces"
     return f"{path}: {size}, {template.n_shape} identity and {template.n_expression} expression coefficients"

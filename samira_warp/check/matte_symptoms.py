@@ -15,7 +15,7 @@ import numpy as np
 
 from samira_warp.check.findings import OTHER_FLAME, Finding
 from samira_warp.check.views import View, coverage, faces_before, project, silhouette
-from samira_warp.data import Frame, Sequence
+from samira_warp.data import Frame, TrackedSequence
 
 _INSIDE = 0.7
 """Share of a head's silhouette that lies in the matte where tracking and camera are right; rough tracking has
@@ -114,7 +114,7 @@ _MISTAKES = {
 }
 
 
-def matte_symptoms(sequence: Sequence, views: list[View]) -> Iterator[Finding]:
+def matte_symptoms(sequence: TrackedSequence, views: list[View]) -> Iterator[Finding]:
     """What at least half of the mattes say; nothing where there are none."""
     mattes = [(view, coverage(view)) for view in views]
     cases = [_Case(view, sequence.template.faces, matte) for view, matte in mattes if matte is not None]

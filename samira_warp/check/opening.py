@@ -9,7 +9,7 @@ from typing import NamedTuple
 from samira_warp.check.findings import Finding, finding_of
 from samira_warp.check.symptoms import symptoms_of
 from samira_warp.check.views import sampled_views
-from samira_warp.data import Listing, Sequence, open_listing, open_sequence, recognise
+from samira_warp.data import Listing, TrackedSequence, open_listing, open_sequence, recognise
 from samira_warp.data.split import parse_split
 from samira_warp.support.errors import UserError
 from samira_warp.support.faults import collected_faults
@@ -29,7 +29,7 @@ class Opened(NamedTuple):
     """
 
     listing: Listing | None
-    sequence: Sequence | None
+    sequence: TrackedSequence | None
     divided: bool
     faults: tuple[Finding, ...]
 
@@ -61,7 +61,7 @@ def open_collecting(root: Path, *, split: str, flame: Path | None) -> Opened:
     """
     parse_split(split)
     recognise(root)
-    sequence: Sequence | None = None
+    sequence: TrackedSequence | None = None
     listing: Listing | None = None
     with collected_faults() as faults:
         sequence = listing = open_sequence(root, split=split, flame=flame)
@@ -78,7 +78,7 @@ def open_collecting(root: Path, *, split: str, flame: Path | None) -> Opened:
     return Opened(listing, sequence, divided, tuple(finding_of(fault) for fault in _telling(root, faults)))
 
 
-def open_checked(root: Path, *, split: str = "dataset", flame: Path | None = None) -> Sequence:
+def open_checked(root: Path, *, split: str = "dataset", flame: Path | None = None) -> TrackedSequence:
     """Open a dataset to train on it: `open_sequence` with the quick part of the check.
 
     Warnings are printed on standard error, a line each.
@@ -88,7 +88,7 @@ def open_checked(root: Path, *, split: str = "dataset", flame: Path | None = Non
             pictures show it.
     """
     recognise(root)  # what is no dataset needs no head model either
-    sequence: Sequence | None = None
+    sequence: TrackedSequence | None = None
     with collected_faults() as faults:
         sequence = open_sequence(root, split=split, flame=flame)
     faults += () if sequence is None else sequence.doubts

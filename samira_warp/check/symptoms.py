@@ -14,7 +14,7 @@ import torch
 from samira_warp.check.findings import OTHER_FLAME, Finding
 from samira_warp.check.matte_symptoms import matte_symptoms
 from samira_warp.check.views import View, project
-from samira_warp.data import Sequence
+from samira_warp.data import TrackedSequence
 from samira_warp.data.vhap import CANONICAL_FILE
 from samira_warp.head import HeadTemplate
 from samira_warp.support.constants import NEAR_PLANE
@@ -33,7 +33,7 @@ _STRETCHED, _MOST_STRETCHED = 3.0, 0.1
 torn: no identity does that."""
 
 
-def symptoms_of(sequence: Sequence, views: list[View]) -> list[Finding]:
+def symptoms_of(sequence: TrackedSequence, views: list[View]) -> list[Finding]:
     """What is wrong with where the heads are, and how large.
 
     Args:
@@ -42,7 +42,7 @@ def symptoms_of(sequence: Sequence, views: list[View]) -> list[Finding]:
     """
     if not views:
         return []
-    kinds: tuple[Callable[[Sequence, list[View]], Iterator[Finding]], ...] = (
+    kinds: tuple[Callable[[TrackedSequence, list[View]], Iterator[Finding]], ...] = (
         _intrinsics,
         _mesh,
         _place,
@@ -56,14 +56,14 @@ def symptoms_of(sequence: Sequence, views: list[View]) -> list[Finding]:
     return []
 
 
-def cameras_of(sequence: Sequence) -> str:
+def cameras_of(sequence: TrackedSequence) -> str:
     """Where the poses of the cameras are written."""
     if (sequence.root / CANONICAL_FILE).is_file():
         return str(sequence.root / "transforms_*.json")
     return str(sequence.frames[0].parameters_path)
 
 
-def _intrinsics(sequence: Sequence, views: list[View]) -> Iterator[Finding]:
+def _intrinsics(sequence: TrackedSequence, views: list[View]) -> Iterator[Finding]:
     """Shares of the picture's size where pixels are expected, and the other way round."""
     del views
     cameras = {
@@ -96,7 +96,7 @@ def _intrinsics(sequence: Sequence, views: list[View]) -> Iterator[Finding]:
         return
 
 
-def _mesh(sequence: Sequence, views: list[View]) -> Iterator[Finding]:
+def _mesh(sequence: TrackedSequence, views: list[View]) -> Iterator[Finding]:
     """A head in another unit than metres, or torn by parameters that belong to another template."""
     del views
     template = sequence.template
@@ -149,7 +149,7 @@ def _eyes_apart(template: HeadTemplate, points: torch.Tensor) -> float:
     return float((left - right).norm())
 
 
-def _place(sequence: Sequence, views: list[View]) -> Iterator[Finding]:
+def _place(sequence: TrackedSequence, views: list[View]) -> Iterator[Finding]:
     """Heads behind their camera, upside down, or outside of the picture."""
     behind = [view for view in views if np.median(view.points[:, 2]) <= NEAR_PLANE]
     if 2 * len(behind) >= len(views):
@@ -219,7 +219,7 @@ def _turn(views: list[View]) -> str:
     )
 
 
-def _framing(sequence: Sequence, views: list[View]) -> Iterator[Finding]:
+def _framing(sequence: TrackedSequence, views: list[View]) -> Iterator[Finding]:
     """Heads much larger or smaller than pictures are framed by: all that is to be seen without mattes."""
     heights = np.array(
         [

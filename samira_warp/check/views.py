@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence as Numbers
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 import torch
 from PIL import Image, ImageDraw
 
-from samira_warp.data import Frame, Sequence
+from samira_warp.data import Frame, TrackedSequence
 from samira_warp.data.pixels import load_mask
 from samira_warp.head import Rig
 from samira_warp.support.constants import NEAR_PLANE
@@ -38,7 +38,7 @@ class View(NamedTuple):
     up: np.ndarray
 
 
-def sampled_views(sequence: Sequence, indices: Numbers[int]) -> list[View]:
+def sampled_views(sequence: TrackedSequence, indices: Sequence[int]) -> list[View]:
     """Views of at most `SAMPLES` frames, evenly spaced among those with ``indices``."""
     if not indices:
         return []
@@ -84,7 +84,7 @@ def coverage(view: View) -> np.ndarray | None:
 
 
 @torch.no_grad()
-def _view(rig: Rig, sequence: Sequence, frame: Frame) -> View:
+def _view(rig: Rig, sequence: TrackedSequence, frame: Frame) -> View:
     head = rig.pose(frame.parameters, sequence.shape, sequence.static_offset)
     pose = frame.camera.world_to_camera.double().numpy()
     points = head.vertices.double().numpy() @ pose[:3, :3].T + pose[:3, 3]

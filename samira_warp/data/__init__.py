@@ -2,7 +2,7 @@
 
 from samira_warp.data.cache import PixelCache
 from samira_warp.data.formats import FORMATS, recognise
-from samira_warp.data.frames import Frame, FrameFiles, Listing, Sequence
+from samira_warp.data.frames import Frame, FrameFiles, Listing, TrackedSequence
 from samira_warp.data.pixels import FramePixels, load_pixels
 from samira_warp.data.sequence import open_listing
 from samira_warp.data.sequence import open_sequence as open_sequence  # public as samira_warp.open_sequence
@@ -16,7 +16,7 @@ __all__ = [
     "Listing",
     "MadeSubject",
     "PixelCache",
-    "Sequence",
+    "TrackedSequence",
     "load_pixels",
     "made_subject",
     "open_listing",

@@ -166,7 +166,7 @@ def _check_names(root: Path, frames: list[FrameFiles]) -> None:
 
 
 @dataclass(frozen=True, eq=False)
-class Sequence(Listing):
+class TrackedSequence(Listing):
     """A tracked head: all that training and rendering need but the pixels.
 
     Attributes:

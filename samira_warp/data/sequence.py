@@ -6,7 +6,7 @@ from dataclasses import fields
 from pathlib import Path
 
 from samira_warp.data.formats import recognise
-from samira_warp.data.frames import Frame, FrameFiles, Listing, Sequence
+from samira_warp.data.frames import Frame, FrameFiles, Listing, TrackedSequence
 from samira_warp.data.index import FileIndex
 from samira_warp.data.split import parse_split
 from samira_warp.data.tracking import Reading
@@ -33,7 +33,7 @@ def open_listing(root: Path, *, split: str = "dataset") -> Listing:
     return reading.listing
 
 
-def open_sequence(root: Path, *, split: str = "dataset", flame: Path | None = None) -> Sequence:
+def open_sequence(root: Path, *, split: str = "dataset", flame: Path | None = None) -> TrackedSequence:
     """Open a dataset for training or rendering: everything but the pixels is read and checked.
 
     Args:
@@ -51,7 +51,7 @@ def open_sequence(root: Path, *, split: str = "dataset", flame: Path | None = No
     tracking = reading.tracking(template)
     index.save()
     listing = reading.listing
-    return Sequence(
+    return TrackedSequence(
         root=root,
         format=listing.format,
         split=listing.split,

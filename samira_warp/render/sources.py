@@ -12,7 +12,7 @@ import torch
 from samira_warp.avatar import Avatar, CanonicalHead, DrivingFrame, read_frames
 from samira_warp.avatar.driving import Driver, PoseRange, match_expressions, match_joints
 from samira_warp.avatar.storage import TEMPLATE_FILE, read_record
-from samira_warp.data import Sequence, open_sequence
+from samira_warp.data import TrackedSequence, open_sequence
 from samira_warp.geometry.camera import Camera
 from samira_warp.head import FrameParameters, HeadTemplate
 from samira_warp.render.config import RenderConfig
@@ -96,7 +96,7 @@ def _driven(
         yield DrivingFrame(frame.name, driver.drive(parameters), frame.camera, sequence.split.part)
 
 
-def _is_person(sequence: Sequence, canonical: CanonicalHead) -> bool:
+def _is_person(sequence: TrackedSequence, canonical: CanonicalHead) -> bool:
     """Whether a sequence is of the avatar's own person, tracked as the avatar was."""
     if sequence.template.hash != canonical.template.hash or not torch.equal(
         sequence.shape, canonical.shape.cpu()
@@ -108,7 +108,7 @@ def _is_person(sequence: Sequence, canonical: CanonicalHead) -> bool:
     return torch.equal(tracked, own.cpu())
 
 
-def _neutral(config: RenderConfig, sequence: Sequence) -> FrameParameters | None:
+def _neutral(config: RenderConfig, sequence: TrackedSequence) -> FrameParameters | None:
     """The driver's frame that --neutral-frame names, whichever part of the sequence is rendered."""
     number, count = config.neutral_frame, len(sequence.frames)
     if number is None:

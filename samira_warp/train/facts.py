@@ -10,14 +10,14 @@ from typing import Any
 import torch
 
 from samira_warp.avatar import conditions_of
-from samira_warp.data import Sequence
+from samira_warp.data import TrackedSequence
 from samira_warp.train.plan import TrainPlan
 
 PACKAGES = ("samira-warp", "torch", "warp-lang", "numpy", "kornia", "transformers")
 """Whose versions are written down."""
 
 
-def run_facts(plan: TrainPlan, sequence: Sequence, *, perceptual: bool) -> dict[str, Any]:
+def run_facts(plan: TrainPlan, sequence: TrackedSequence, *, perceptual: bool) -> dict[str, Any]:
     """How a run is made: every setting, what it trains on, versions and threads, as plain JSON values.
 
     Args:
@@ -42,7 +42,7 @@ def run_facts(plan: TrainPlan, sequence: Sequence, *, perceptual: bool) -> dict[
     }
 
 
-def _frames_hash(sequence: Sequence) -> str:
+def _frames_hash(sequence: TrackedSequence) -> str:
     """Digest of the subject's shape and of every frame's name and tracked head.
 
     FLAME's template and a number of frames are many subjects'.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 
 from samira_warp.avatar import CanonicalHead, Gaussians, conditions_of, geometry_uv
-from samira_warp.data import Frame, PixelCache, Sequence
+from samira_warp.data import Frame, PixelCache, TrackedSequence
 from samira_warp.geometry.mesh import face_areas, vertex_normals
 from samira_warp.head.unwrap import UnwrapView, unwrap
 from samira_warp.kernels.gathering.gather import bilinear_table, gather
@@ -34,13 +34,15 @@ ALBEDO_VIEWS = 12
 """Frames that the initial albedo is unwrapped from, evenly spaced over the training frames."""
 
 
-def condition_statistics(sequence: Sequence) -> ConditionStatistics:
+def condition_statistics(sequence: TrackedSequence) -> ConditionStatistics:
     """Statistics of the training frames' conditions; test frames are not looked at."""
     return ConditionStatistics.of(conditions_of(sequence.batch(sequence.train)))
 
 
 @torch.no_grad()
-def choose_reference(sequence: Sequence, canonical: CanonicalHead, statistics: ConditionStatistics) -> int:
+def choose_reference(
+    sequence: TrackedSequence, canonical: CanonicalHead, statistics: ConditionStatistics
+) -> int:
     """Index of the training frame nearest to mean expression and frontal pose."""
 
     def score(index: int) -> float:
@@ -55,14 +57,16 @@ def choose_reference(sequence: Sequence, canonical: CanonicalHead, statistics: C
     return min(sequence.train, key=score)
 
 
-def image_view(sequence: Sequence, pixels: PixelCache, canonical: CanonicalHead, index: int) -> UnwrapView:
+def image_view(
+    sequence: TrackedSequence, pixels: PixelCache, canonical: CanonicalHead, index: int
+) -> UnwrapView:
     """One frame's image as it is unwrapped."""
     content = pixels[index]
     return _view(sequence.frames[index], canonical, content.image, content.mask)
 
 
 def albedo_view(
-    sequence: Sequence, pixels: PixelCache, canonical: CanonicalHead, index: int
+    sequence: TrackedSequence, pixels: PixelCache, canonical: CanonicalHead, index: int
 ) -> UnwrapView | None:
     """One frame's pseudo-albedo as it is unwrapped; None where it has none."""
     content = pixels[index]
@@ -84,7 +88,7 @@ def unwrap_views(views: list[UnwrapView], canonical: CanonicalHead) -> torch.Ten
 
 
 def initial_albedo(
-    sequence: Sequence, pixels: PixelCache, canonical: CanonicalHead, reference: torch.Tensor
+    sequence: TrackedSequence, pixels: PixelCache, canonical: CanonicalHead, reference: torch.Tensor
 ) -> torch.Tensor:
     """(h, w, 3) display-valued albedo texture.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from samira_warp.data import Sequence
+from samira_warp.data import TrackedSequence
 from samira_warp.support.errors import UserError
 from samira_warp.train.begun import Begun
 from samira_warp.train.config import TrainConfig
@@ -30,7 +30,7 @@ class TrainPlan:
 
 
 def make_plan(
-    settings: Settings, sequence: Sequence, config: TrainConfig, *, begun: Begun | None = None
+    settings: Settings, sequence: TrackedSequence, config: TrainConfig, *, begun: Begun | None = None
 ) -> TrainPlan:
     """Decide what the dataset decides.
 
@@ -51,7 +51,7 @@ def make_plan(
     return TrainPlan(settings, image_size(sequence, settings.resolution), schedule)
 
 
-def image_size(sequence: Sequence, resolution: int) -> tuple[int, int]:
+def image_size(sequence: TrackedSequence, resolution: int) -> tuple[int, int]:
     """Width and height of the training images: the longer side is ``resolution``."""
     camera = sequence.frames[0].camera
     scale = resolution / max(camera.width, camera.height)

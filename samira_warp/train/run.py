@@ -9,7 +9,7 @@ from typing import Any
 
 from samira_warp.avatar import Avatar
 from samira_warp.check.opening import open_checked
-from samira_warp.data import PixelCache, Sequence
+from samira_warp.data import PixelCache, TrackedSequence
 from samira_warp.data.subjects import MadeSubject, made_subject
 from samira_warp.evaluate import Lpips, find_lpips
 from samira_warp.evaluate.config import LpipsNet
@@ -93,7 +93,7 @@ def _train(config: TrainConfig, out: Path) -> Path | None:
 
 
 def _at_its_beginning(
-    plan: TrainPlan, sequence: Sequence, pixels: PixelCache, facts: dict[str, Any], begun: Begun | None
+    plan: TrainPlan, sequence: TrackedSequence, pixels: PixelCache, facts: dict[str, Any], begun: Begun | None
 ) -> tuple[Trainer, dict[str, Any]]:
     """The trainer where the run begins or goes on, and the record of how the run was begun."""
     if begun is None or begun.checkpoint is None:
@@ -179,7 +179,7 @@ def _finish(trainer: Trainer, lpips: Lpips | str, record: dict[str, Any]) -> Non
     print(json.dumps({name: value for name, value in results.items() if name not in ("frames", "protocol")}))
 
 
-def _announce(plan: TrainPlan, sequence: Sequence, lpips: Lpips | str, encoder: str) -> None:
+def _announce(plan: TrainPlan, sequence: TrackedSequence, lpips: Lpips | str, encoder: str) -> None:
     """Say what will be trained, and which optional parts are missing and why."""
     frames = f"{len(sequence.train)} training and {len(sequence.test)} test frames"
     lines = [f"{sequence.root.name}: {frames} on {plan.settings.device}", *sequence.notes]

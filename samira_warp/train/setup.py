@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 
 from samira_warp.avatar import Avatar, CanonicalHead
-from samira_warp.data import PixelCache, Sequence
+from samira_warp.data import PixelCache, TrackedSequence
 from samira_warp.light import LearnableLight, decode_srgb
 from samira_warp.nets import encode_reference
 from samira_warp.train.initialize import (
@@ -43,7 +43,7 @@ class Start(NamedTuple):
     encoder: str
 
 
-def start(plan: TrainPlan, sequence: Sequence, pixels: PixelCache) -> Start:
+def start(plan: TrainPlan, sequence: TrackedSequence, pixels: PixelCache) -> Start:
     """Build the avatar of step 0: exactly the mesh-bound one (the residual is zero).
 
     Args:

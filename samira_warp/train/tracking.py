@@ -10,8 +10,7 @@ from samira_warp.head import FrameParameters
 
 
 class TrackedParameters(nn.Module):
-    """One learnable row a training frame, starting from the tracker's values; offsets stay as they were
-    tracked.
+    """One learnable row a training frame, starting from the tracker's values; offsets stay.
 
     Attributes:
         translation: (T, 3) metres.

@@ -8,7 +8,7 @@ from typing import Any
 import torch
 
 from samira_warp.avatar import Avatar, Gaussians, Rendering, geometry_uv
-from samira_warp.data import Frame, PixelCache, Sequence
+from samira_warp.data import Frame, PixelCache, TrackedSequence
 from samira_warp.evaluate.lpips import Lpips
 from samira_warp.geometry.camera import Camera
 from samira_warp.geometry.mesh import face_areas
@@ -37,7 +37,7 @@ class Trainer:
     def __init__(
         self,
         plan: TrainPlan,
-        sequence: Sequence,
+        sequence: TrackedSequence,
         pixels: PixelCache,
         avatar: Avatar,
     ) -> None:

@@ -68,7 +68,6 @@ def test_what_a_dataset_holds(tiny_dataset, capsys):
     assert vertices.startswith(f"{tiny_dataset / 'template.npz'}: 328 vertices, ")
     assert vertices.endswith("2 identity and 4 expression coefficients")
     assert said == {
-        "verdict": f"can be trained on: python -m samira_warp.train --data {tiny_dataset}",
         "folder": str(tiny_dataset),
         "format": "VHAP export",
         "frames": "6 at 6 timesteps",

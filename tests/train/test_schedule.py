@@ -123,8 +123,8 @@ def test_a_finished_run_that_is_extended_by_little_has_no_more_density_control()
 
 def test_what_had_not_begun_begins_with_the_new_length():
     schedule = Schedule(3_000).extended(9_000, at=500)
-    assert [step for step in range(9_000) if schedule.in_stage_two(step)][0] == 2_700
-    assert [step for step in range(9_000) if schedule.perceptual_on(step)][0] == 4_500
+    assert next(step for step in range(9_000) if schedule.in_stage_two(step)) == 2_700
+    assert next(step for step in range(9_000) if schedule.perceptual_on(step)) == 4_500
     paused = [step for step in range(2_700, 3_150) if schedule.density_event(step)]
     assert paused == []
 
@@ -133,7 +133,7 @@ def test_of_several_lengths_the_one_that_held_decides_what_began():
     """0.3 of the first length was not reached under it, 0.3 of the second was, and the third changes that no
     more."""
     schedule = Schedule(10_000).extended(11_000, at=2_000).extended(40_000, at=3_500)
-    assert [step for step in range(12_000) if schedule.in_stage_two(step)][0] == 3_300
+    assert next(step for step in range(12_000) if schedule.in_stage_two(step)) == 3_300
 
 
 def test_an_extension_before_a_step_was_done_is_forgotten():
