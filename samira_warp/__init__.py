@@ -6,11 +6,14 @@ import os
 from typing import TYPE_CHECKING
 
 from samira_warp.support.lazy import lazily
+from samira_warp.support.moved import keep_old_paths
 
 # Before torch loads OpenMP: its threads spin between parallel regions by default, and on a machine that other
 # processes also use, spinning threads keep the cores from the thread that has work: training steps then take
 # ten times as long. Waiting costs next to nothing.
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+
+keep_old_paths()
 
 __version__ = "0.1.0"
 __all__ = [

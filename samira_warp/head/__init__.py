@@ -5,13 +5,14 @@ from samira_warp.head.flame import read_flame, read_head
 from samira_warp.head.joints import FLAME_JOINTS
 from samira_warp.head.parameters import FrameParameters
 from samira_warp.head.regions import REGIONS
-from samira_warp.head.rig import PosedHead, Rig
+from samira_warp.head.rig import HeadModel, PosedHead, Rig
 from samira_warp.head.template import HeadTemplate, read_template, save_template
 
 __all__ = [
     "FLAME_JOINTS",
     "REGIONS",
     "FrameParameters",
+    "HeadModel",
     "HeadTemplate",
     "PosedHead",
     "Rig",

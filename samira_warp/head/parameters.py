@@ -46,6 +46,11 @@ class FrameParameters:
         )
 
     @property
+    def rotation(self) -> Tensor:
+        """(..., 3) of the root joint, which turns the whole head."""
+        return self.rotations[..., 0, :]
+
+    @property
     def batch_shape(self) -> torch.Size:
         """The leading dimensions; empty for one frame."""
         return self.translation.shape[:-1]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -195,6 +196,17 @@ class Rig:
                 check_tensor(
                     name, tensor, shape=size, dtype=self.v_template.dtype, device=self.v_template.device
                 )
+
+
+class HeadModel(Rig):
+    """`Rig` by the name that it had in 0.1, until 0.3."""
+
+    def vertices(self, parameters: FrameParameters, shape: Tensor) -> PosedHead:
+        """`Rig.pose`, of a subject without a static offset."""
+        warnings.warn(
+            "HeadModel.vertices is Rig.pose now: it ends with 0.3", DeprecationWarning, stacklevel=2
+        )
+        return self.pose(parameters, shape)
 
 
 def _combine(directions: Tensor, coefficients: Tensor) -> Tensor:
