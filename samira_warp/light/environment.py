@@ -14,7 +14,7 @@ from samira_warp.io.images import write_exr
 from samira_warp.kernels.cubemap.layout import check_cubemap, texel_solid_angles
 from samira_warp.light.color import ColorSpace, to_display
 from samira_warp.light.cross import cube_to_cross, resample_cube
-from samira_warp.light.equirect import check_degrees
+from samira_warp.light.equirect import VALUES_AT_ONCE, check_degrees
 from samira_warp.light.filtered import FilteredLight
 from samira_warp.light.radiance_map import RadianceMap
 from samira_warp.support.errors import UserError
@@ -175,8 +175,12 @@ class Environment:
         Values are clipped and encoded before they are interpolated: in radiance, a texel of a lamp would
         cover all the pixels between it and its neighbours, in steps.
         """
-        texels = self.visible.texels if self.exposure == 1.0 else self.exposure * self.visible.texels
-        return RadianceMap(to_display(texels, color_space=color_space).clamp(0.0, 1.0))
+        texels = self.visible.texels
+        shown, at_once = torch.empty_like(texels), max(VALUES_AT_ONCE // texels[0].numel(), 1)
+        for first in range(0, len(texels), at_once):
+            some = self.exposure * texels[first : first + at_once]
+            shown[first : first + at_once] = to_display(some, color_space=color_space).clamp(0.0, 1.0)
+        return RadianceMap(shown)
 
     @property
     def visible(self) -> RadianceMap:

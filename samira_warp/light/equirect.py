@@ -23,8 +23,8 @@ _SAMPLES_PER_PIXEL = 3
 """Samples per pixel of the panorama, along each axis: a lamp of one pixel keeps its energy to a few percent,
 a map to some 1e-3."""
 
-_VALUES_AT_ONCE = 1 << 24
-"""Numbers of a panorama that are weighted at once: a large one has no room for a copy of itself."""
+VALUES_AT_ONCE = 1 << 22
+"""Numbers of a map that are worked on at once: a large one leaves no room for copies of itself."""
 
 
 def equirect_to_cube(equirect: Tensor, *, size: int) -> Tensor:
@@ -154,13 +154,11 @@ def _shrink(equirect: Tensor, *, columns: int) -> Tensor:
         row_solid_angles(height, width, device=equirect.device).to(equirect.dtype).view(-1, factor, 1, 1)
     )
     blocks = equirect.view(height // factor, factor, width // factor, factor * channels)
-    at_once = max(_VALUES_AT_ONCE // (factor * width * channels), 1)
-    rows = torch.cat(
-        [
-            (some * weight).sum(dim=1) / weight.sum(dim=1)
-            for some, weight in zip(blocks.split(at_once), weights.split(at_once), strict=True)
-        ]
-    )
+    rows = equirect.new_empty(height // factor, width // factor, factor * channels)
+    at_once = max(VALUES_AT_ONCE // (factor * width * channels), 1)
+    for first in range(0, len(rows), at_once):
+        some, weight = (values[first : first + at_once] for values in (blocks, weights))
+        rows[first : first + at_once] = (some * weight).sum(dim=1) / weight.sum(dim=1)
     return rows.view(height // factor, width // factor, factor, channels).mean(dim=2)
 
 

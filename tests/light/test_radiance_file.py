@@ -439,14 +439,16 @@ def peak():
     return 1024 * int(re.search(r"VmHWM:\\s+(\\d+)", Path("/proc/self/status").read_text())[1])
 
 before = peak()
-Environment.load(sys.argv[1], size=64)
+Environment.load(sys.argv[1], size=64, exposure=2.0)
+print(loaded := peak() - before)
+Environment.load(sys.argv[1], size=64, exposure=2.0).display_map()
 print(peak() - before)
 """
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="/proc is Linux's")
 def test_a_large_map_needs_little_more_memory_than_it_has_pixels(tmp_path):
-    """Its pixels as floats, and two blocks that are decoded and weighted: no copy of it as a whole."""
+    """Its pixels as floats, and blocks that are decoded, weighted and encoded: no copy of it as a whole."""
     height, width = 4096, 8192
     spec = oiio.ImageSpec(width, height, 3, oiio.HALF)
     spec.attribute("compression", "none")
@@ -457,4 +459,6 @@ def test_a_large_map_needs_little_more_memory_than_it_has_pixels(tmp_path):
         assert output.write_scanlines(first, first + 256, 0, rows)
     assert output.close()
     done = subprocess.run([sys.executable, "-c", LOADED, path], capture_output=True, text=True, check=True)
-    assert 1.0 < int(done.stdout) / (4 * 3 * height * width) < 1.7
+    loaded, shown = (int(peak) / (4 * 3 * height * width) for peak in done.stdout.split())
+    assert 1.0 < loaded < 1.7
+    assert 2.0 < shown < 2.7

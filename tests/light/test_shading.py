@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 import torch
+from torch import Tensor
 
 from samira_warp.kernels.shading import deferred
 from samira_warp.kernels.shading.deferred import shade_gbuffer
@@ -414,7 +415,7 @@ def test_one_background_for_all_points_is_the_same_for_each(device, generator):
 
 def test_the_background_is_a_constant(device, generator):
     surface, view = single_points(5, generator, device)
-    constant = surface.map(torch.Tensor.detach), view.detach()
+    constant = surface.map(Tensor.detach), view.detach()
     light = make_light(generator, device, sizes=(2, 2, 2))
     light = FilteredLight(light.irradiance.detach(), tuple(mip.detach() for mip in light.specular))
     background = torch.rand(5, 3, device=device, requires_grad=True)
