@@ -15,7 +15,7 @@ import sys
 import pytest
 from subjects import TESTS
 
-from samira_subject.make import VERSION
+from samira_subject.plan import VERSION
 from samira_warp.io.images import read_image
 
 ROOT = TESTS.parent
