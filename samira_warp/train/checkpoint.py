@@ -16,6 +16,7 @@ from samira_warp.avatar.storage import POSE_PARTS, joined_poses
 from samira_warp.io.files import read_json, replace_folder, save_tensors
 from samira_warp.support.errors import UserError
 from samira_warp.train.density import DensityStatistics
+from samira_warp.train.row_adam import RowAdam
 from samira_warp.train.tracking import TrackedParameters
 
 KEPT = 2
@@ -39,7 +40,7 @@ class TrainingState(NamedTuple):
     step: int
     avatar: Avatar
     tracked: TrackedParameters
-    optimizer: torch.optim.Adam
+    optimizer: RowAdam
     density: DensityStatistics
 
 
@@ -86,7 +87,7 @@ def checkpoint_step(path: Path) -> int:
 
 
 def load_training(
-    path: Path, optimizer: torch.optim.Adam, tracked: TrackedParameters, density: DensityStatistics
+    path: Path, optimizer: RowAdam, tracked: TrackedParameters, density: DensityStatistics
 ) -> int:
     """Put a checkpoint's training state into objects that were made for its avatar.
 
@@ -122,6 +123,9 @@ def load_training(
             moments = {
                 name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)
             }
+            if moments and group.get("rows") and moments["step"].dim() == 0:
+                # older versions stepped all rows together
+                moments["step"] = moments["step"].expand(len(parameter)).clone()
             if moments:
                 optimizer.state[parameter] = {
                     name: value.to(parameter.device) for name, value in moments.items()

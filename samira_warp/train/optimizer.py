@@ -7,6 +7,7 @@ from torch import nn
 
 from samira_warp.avatar import Avatar
 from samira_warp.avatar.gaussians import Gaussians
+from samira_warp.train.row_adam import RowAdam
 from samira_warp.train.schedule import learning_rate
 from samira_warp.train.tracking import TrackedParameters
 
@@ -15,19 +16,25 @@ ADAM_EPSILON = 1e-15
 Gaussians."""
 
 
-def make_optimizer(avatar: Avatar, tracked: TrackedParameters) -> torch.optim.Adam:
-    """One group a rate, named as in `schedule.RATES`; Gaussians' groups hold one parameter each."""
+def make_optimizer(avatar: Avatar, tracked: TrackedParameters) -> RowAdam:
+    """One group a rate, named as in `schedule.RATES`.
+
+    Gaussians' groups hold one parameter each; those of tracking hold tables with a row a frame.
+    """
     groups: dict[str, list[nn.Parameter]] = {
         name: [getattr(avatar.gaussians, name)] for name in Gaussians.PARAMETERS
     }
     groups["response"] = [avatar.response_logits]
     groups["network"] = list(avatar.motion.parameters())
     groups["light"] = list(avatar.light.parameters())
-    groups["expression"] = [tracked.expression]
-    groups["pose"] = [tracked.rotations]
-    groups["translation"] = [tracked.translation]
-    return torch.optim.Adam(
-        [{"params": parameters, "name": name} for name, parameters in groups.items()],
+    tables = {
+        "expression": [tracked.expression],
+        "pose": [tracked.rotations],
+        "translation": [tracked.translation],
+    }
+    return RowAdam(
+        [{"params": parameters, "name": name} for name, parameters in groups.items()]
+        + [{"params": parameters, "name": name, "rows": True} for name, parameters in tables.items()],
         lr=0.0,
         eps=ADAM_EPSILON,
         fused=True,

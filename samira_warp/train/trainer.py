@@ -109,7 +109,7 @@ class Trainer:
         self.optimizer.zero_grad(set_to_none=True)
         torch.stack(list(terms.values())).sum().backward()
         self._gather_density(rendering)
-        self.optimizer.step()
+        self.optimizer.step(rows=[row])
         self._control_density()
         self.step += 1
         error = (rendering.image.detach() - target.image).square().mean()

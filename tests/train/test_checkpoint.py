@@ -26,7 +26,7 @@ def state():
     for _ in range(2):
         for parameter in [*avatar.parameters(), *tracked.parameters()]:
             parameter.grad = torch.randn_like(parameter) if parameter.requires_grad else None
-        optimizer.step()
+        optimizer.step(rows=range(3))
     density = DensityStatistics(len(avatar.gaussians), torch.device("cpu"))
     density.gradient.uniform_()
     density.views.random_(1, 9)
@@ -65,7 +65,7 @@ def as_before_joints_had_names(path):
     moments = {name: tensors.pop(f"adam.pose.0.{name}") for name in ("exp_avg", "exp_avg_sq", "step")}
     for index, (part, joints) in enumerate(parts.items()):
         tensors[f"tracked.{part}"] = rotations[:, joints].flatten(1).clone()
-        tensors[f"adam.pose.{index}.step"] = moments["step"].clone()
+        tensors[f"adam.pose.{index}.step"] = moments["step"][0].clone()  # all rows stepped together
         for name in ("exp_avg", "exp_avg_sq"):
             tensors[f"adam.pose.{index}.{name}"] = moments[name][:, joints].flatten(1).clone()
     save_file(tensors, file)
