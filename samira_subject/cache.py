@@ -13,7 +13,7 @@ from samira_subject.make import make_subject
 from samira_subject.plan import VERSION, SubjectPlan
 from samira_warp.data.subjects import MadeSubject
 from samira_warp.io.files import cache_folder, read_json
-from samira_warp.support.errors import UserError
+from samira_warp.support.errors import UserError, in_words
 
 _ELSEWHERE = "(SAMIRA_WARP_CACHE names another)"
 
@@ -45,7 +45,8 @@ def built_in_subject(seed: int = 0) -> Path:
                     _announce(folder)
                     make_subject(folder, SubjectPlan(seed=seed), partial(build_cast, seed))
     except OSError as error:
-        raise UserError(folder, expected=f"a folder that can be written {_ELSEWHERE}", found=error) from error
+        expected = f"a folder that can be written {_ELSEWHERE}"
+        raise UserError(folder, expected=expected, found=in_words(error)) from error
     return folder
 
 

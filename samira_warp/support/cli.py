@@ -67,8 +67,10 @@ def guarded(work: Callable[[], None], *, options: Sequence[str] = ()) -> int:
             work()
             status = 0
         except UserError as mistake:
-            dashes = "--" if mistake.subject in options else ""
-            status = say_mistake(f"{dashes}{mistake}")
+            text = str(mistake)
+            if mistake.subject in options:
+                text = f"--{mistake.subject.replace('_', '-')}{text.removeprefix(mistake.subject)}"
+            status = say_mistake(text)
         except KeyboardInterrupt:
             status = STATUS_INTERRUPTED
         finally:

@@ -95,6 +95,8 @@ def test_a_failed_call_of_the_system_names_its_file(tmp_path):
 def test_options_are_named_with_their_dashes(capsys):
     assert outcome(raising(UserError("size", expected="a size", found="none"))) == 2
     assert capsys.readouterr().err == "error: --size: expected a size, found none\n"
+    assert outcome(raising(UserError("frame_count", expected="1", found=0))) == 2
+    assert capsys.readouterr().err == "error: --frame-count: expected 1, found 0\n"
     # a path may be called as its option is, and other things have names too
     for subject in (Path("out"), "colour", "size of it"):
         assert outcome(raising(UserError(subject, expected="a size", found="none"))) == 2
