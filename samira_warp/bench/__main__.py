@@ -8,12 +8,13 @@ from collections.abc import Sequence
 
 from samira_warp.bench.config import BenchConfig
 from samira_warp.support.cli import run
-from samira_warp.support.devices import pick_device
 from samira_warp.support.errors import UserError
 
 
 def main(config: BenchConfig) -> None:
     """Run one benchmark."""
+    from samira_warp.support.devices import pick_device
+
     if config.hdri is not None and config.what != "light":
         raise UserError("--hdri", expected="bench light", found=f"bench {config.what}")
     device = str(pick_device(config.device))

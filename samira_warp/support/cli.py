@@ -157,7 +157,7 @@ def _bare_names(config_type: type) -> list[str]:
     hints = get_type_hints(config_type)
     return [
         field.name
-        for field in fields(config_type)  # type: ignore[arg-type]
+        for field in fields(config_type)
         if Path not in (hints[field.name], *_parts(hints[field.name]))
     ]
 
