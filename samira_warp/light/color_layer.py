@@ -104,15 +104,16 @@ def _candidates(part: int, spec: oiio.ImageSpec) -> Iterator[_Candidate]:
         grey = _grey(components, alone=len(layers) == 1)
         channels = tuple(number for _, number in sorted(colors.items())) if len(colors) == 3 else grey
         name = ".".join(filter(None, (_part_name(spec), layer)))
-        said = name if len(channels) == 3 else ".".join((name, *_telling(components)))
-        rank = _rank(said, view=spec.get_string_attribute("view"))
+        rank = _rank(
+            ".".join((name, *_telling(components, channels))), view=spec.get_string_attribute("view")
+        )
         if channels and rank is not None and spec.get_string_attribute("colorInteropID") != "data":
             yield _Candidate(part, channels, name, (*rank, 3 - len(channels)))
 
 
 def _grey(components: dict[str, int], *, alone: bool) -> tuple[int, ...]:
     """The channel of brightness of a layer without colours: named so, or the only one that a file has."""
-    if not {"x", "z", "ry", "by"} & set(components):  # of vectors, and of colours as luminance and chroma
+    if not {"x", "ry", "by"} & set(components):  # of vectors, and of colours as luminance and chroma
         named = tuple(number for name, number in components.items() if name in _GREYS)
         if len(named) == 1:
             return named
@@ -120,9 +121,13 @@ def _grey(components: dict[str, int], *, alone: bool) -> tuple[int, ...]:
     return rest if alone and len(rest) == 1 else ()
 
 
-def _telling(components: dict[str, int]) -> list[str]:
-    """Names of channels that say more than that they are of brightness or coverage."""
-    return [name for name in components if name not in (*_GREYS, "a", "alpha")]
+def _telling(components: dict[str, int], channels: tuple[int, ...]) -> list[str]:
+    """Names of the chosen channels that say more than which colour they are, or that they are brightness."""
+    return [
+        name
+        for name, number in components.items()
+        if number in channels and name not in _COLORS and name not in _GREYS
+    ]
 
 
 def _rank(name: str, *, view: str) -> tuple[int, int, int] | None:

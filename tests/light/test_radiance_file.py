@@ -162,6 +162,7 @@ def test_a_part_that_says_it_is_no_picture_is_not_taken(tmp_path):
         (("normal.R", "normal.G", "normal.B", "beauty.R", "beauty.G", "beauty.B"), "beauty"),
         (("Y",), ("Y",) * 3),
         (("A", "Y"), ("Y",) * 3),
+        (("Y", "Z"), ("Y",) * 3),
         (("Y", "N.X", "N.Y", "N.Z"), ("Y",) * 3),
     ],
 )
