@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import torch
 
+import samira_warp
 from samira_warp.avatar import DrivingFrame, write_frames
 from samira_warp.data.pixels import load_mask
 from samira_warp.evaluate import ImagePair, Lpips, evaluate_images
 from samira_warp.io.images import to_uint8
+from samira_warp.train.begun import AVATAR_FOLDER
+from samira_warp.train.settings import Settings
 from samira_warp.train.trainer import Trainer
+
+LIGHTS = Path(samira_warp.__file__).parent / "assets" / "lights"
+"""Small environment maps that come with the package."""
 
 ROWS = {
     "psnr": ("PSNR", "{:.2f} dB"),
@@ -79,13 +86,12 @@ def write_result(folder: Path, trainer: Trainer, record: dict[str, Any]) -> None
     write_frames(folder, driving)
 
 
-def summary(results: dict[str, Any], *, out: Path, data: Path) -> str:
+def summary(results: dict[str, Any], settings: Settings) -> str:
     """The end of a run in words: where the avatar is, a table of its scores, and what to do next.
 
     Args:
         results: As `score` gives them.
-        out: The run folder.
-        data: The dataset's folder.
+        settings: Of the run.
     """
     width, height = results["protocol"]["size"]
     named = {
@@ -96,15 +102,25 @@ def summary(results: dict[str, Any], *, out: Path, data: Path) -> str:
     if results["lpips"] is None:
         named["LPIPS"] = f"none: {results['lpips_reason']}"
     column = max(map(len, named))
-    program = "python -m samira_warp"
     return "\n".join(
         [
-            f"the avatar is in {out / 'avatar'}; "
+            f"the avatar is in {settings.out / AVATAR_FOLDER}; "
             f"on {len(results['frames'])} test frames of {width} x {height}:",
             *(f"  {name:<{column}}  {value}" for name, value in named.items()),
-            "next, its pictures, the same under another light, and scores by region or layer:",
-            f"  {program}.render --avatar {out} --out {out / 'render'} --layers image albedo normal --video",
-            f"  {program}.render --avatar {out} --out {out / 'relit'} --env FILE.hdr --background env",
-            f"  {program}.evaluate --pred {out / 'render' / 'image'} --data {data}",
+            "next: its pictures, the same under another light, and their scores again, by any layer:",
+            *(f"  {command}" for command in _next_commands(settings)),
         ]
     )
+
+
+def _next_commands(settings: Settings) -> list[str]:
+    """Commands that show and score the avatar, as a shell takes them."""
+    out, data, split = (str(value) for value in (settings.out, settings.data, settings.split))
+    pictures, relit = (str(settings.out / name) for name in ("render", "relit"))
+    light = ("--env", str(LIGHTS / "dusk.hdr"), "--exposure", "auto", "--background", "env")
+    calls = (
+        ("render", "--avatar", out, "--out", pictures, "--layers", "image", "albedo", "normal", "--video"),
+        ("render", "--avatar", out, "--out", relit, *light),
+        ("evaluate", "--pred", str(Path(pictures, "image")), "--data", data, "--split", split),
+    )
+    return [shlex.join(("python", "-m", f"samira_warp.{verb}", *words)) for verb, *words in calls]

@@ -175,7 +175,7 @@ def _finish(trainer: Trainer, lpips: Lpips | str, record: dict[str, Any]) -> Non
         )
         raise
     replace_file(settings.out / RESULTS_FILE, json.dumps(results, indent=1))
-    print(summary(results, out=settings.out, data=settings.data), file=sys.stderr)
+    print(summary(results, settings), file=sys.stderr)
     print(json.dumps({name: value for name, value in results.items() if name not in ("frames", "protocol")}))
 
 

@@ -4,6 +4,7 @@ import json
 import math
 import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
@@ -17,6 +18,7 @@ from data.damage import change_json
 from safetensors.torch import load_file
 from subjects import STEPS, train_arguments, train_command
 
+from samira_warp.__main__ import main
 from samira_warp.avatar import Avatar, read_frames
 from samira_warp.io.images import read_image
 from samira_warp.train.config import PRESETS, TrainConfig
@@ -156,7 +158,7 @@ def test_another_seed_gives_another_avatar(tiny_run, tiny_dataset, tmp_path):
     assert not same_bits(tiny_run, tmp_path / "other")
 
 
-def test_the_command_itself(tiny_dataset, tmp_path):
+def test_the_command_itself(tiny_dataset, tmp_path, capsys):
     """A real process with the real preset: two steps, nothing but the result on standard output."""
     options = [
         "--resolution",
@@ -202,8 +204,15 @@ def test_the_command_itself(tiny_dataset, tmp_path):
     table = dict(re.split(r"  +", line.strip()) for line in said.splitlines()[1:7])
     assert table["PSNR"] == f"{json.loads(done.stdout)['psnr']:.2f} dB"
     assert table["LPIPS"].startswith("none: ")
-    assert f"python -m samira_warp.render --avatar {run} --out {run / 'render'}" in said
-    assert f"python -m samira_warp.evaluate --pred {run / 'render' / 'image'} --data {tiny_dataset}" in said
+    # the commands that it names run as they are written
+    commands = [shlex.split(line) for line in said.splitlines() if line.startswith("  python -m ")]
+    assert [words[2] for words in commands] == 2 * ["samira_warp.render"] + ["samira_warp.evaluate"]
+    for words in commands:
+        capsys.readouterr()
+        assert main([words[2].removeprefix("samira_warp."), *words[3:]]) == 0
+    again, results = json.loads(capsys.readouterr().out), json.loads((run / "results.json").read_text())
+    assert again["psnr"] == pytest.approx(results["psnr"])
+    assert (run / "relit" / "image" / "00004_00.png").is_file()
     assert (
         json.loads((tmp_path / "run" / "avatar" / "avatar.json").read_text())["settings"]["uv_size"]
         == PRESETS["cpu"].uv_size
