@@ -41,10 +41,10 @@ def make_plan(
         begun: How the run that goes on was begun, None for a new one.
 
     Raises:
-        UserError: A run that goes on is asked to be shorter.
+        UserError: A run that goes on from a checkpoint is asked to be shorter.
     """
     frames = len(sequence.train)
-    if begun is None:
+    if begun is None or begun.checkpoint is None:
         schedule = Schedule(min(settings.epochs * frames, settings.max_steps or settings.epochs * frames))
     else:
         schedule = _extended(begun, config, frames=frames, out=settings.out)
@@ -91,4 +91,4 @@ def _extended(begun: Begun, config: TrainConfig, *, frames: int, out: Path) -> S
             expected=f"{begun.schedule.steps} steps as the run was begun, or more to extend it",
             found=f"{steps}",
         )
-    return begun.schedule.extended(steps, at=begun.step)
+    return begun.schedule if steps == begun.schedule.steps else begun.schedule.extended(steps, at=begun.step)

@@ -315,6 +315,14 @@ def test_a_finished_run_is_extended(tiny_run, tmp_path, capsys, option):
         assert (folder / "avatar" / "avatar.safetensors").read_bytes() == before
 
 
+def test_the_same_length_by_another_option_is_no_extension(tiny_dataset, tmp_path):
+    arguments = train_arguments(tiny_dataset, tmp_path / "run", "--epochs", 1)  # four steps, not six
+    assert train_command(*arguments) == 0
+    before = (tmp_path / "run" / "config.json").read_bytes()
+    assert train_command("--out", tmp_path / "run", "--resume", "--max-steps", 4) == 0
+    assert (tmp_path / "run" / "config.json").read_bytes() == before
+
+
 def test_an_extended_run_that_is_killed_goes_on_to_the_same_bits(tiny_run, tmp_path):
     whole, killed = (shutil.copytree(tiny_run, tmp_path / name) for name in ("whole", "killed"))
     assert train_command("--out", whole, "--resume", "--max-steps", 11) == 0
@@ -429,6 +437,7 @@ def test_a_run_that_was_killed_before_its_first_checkpoint_keeps_its_settings(ti
     assert train_command("--out", run, "--resume") == 0
     assert "starting from the beginning" in capsys.readouterr().err
     assert json.loads((run / "config.json").read_text())["settings"]["seed"] == 7
+    assert json.loads((run / "config.json").read_text())["earlier_lengths"] == []
     assert train_command(*train_arguments(tiny_dataset, tmp_path / "whole", "--seed", 7)) == 0
     assert same_bits(tmp_path / "whole", run)
 
