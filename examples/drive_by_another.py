@@ -45,7 +45,7 @@ class Options:
     every: int = 1
     """Take every so many frames."""
     resolution: int = 256
-    """Width and height of a picture, pixels."""
+    """Longer side of a picture, pixels."""
 
 
 @torch.no_grad()
@@ -66,13 +66,12 @@ def main(options: Options) -> None:
     light = avatar.light() if options.light is None else Environment.load(options.light).filtered()
 
     options.out.mkdir(parents=True, exist_ok=True)
-    size = options.resolution
     for frame in sequence.frames[:: options.every]:
         # What a tracker adds to single frames belongs to the other person's face.
         parameters = driver.drive(replace(frame.parameters, dynamic_offset=None))
-        camera = frame.camera.resized(width=size, height=size)
+        camera = frame.camera.with_longer_side(options.resolution)
         driven = avatar.render(parameters, camera, light).image.cpu().numpy()
-        filmed = load_pixels(frame, width=size, height=size).image.numpy()
+        filmed = load_pixels(frame, width=camera.width, height=camera.height).image.numpy()
         write_png(options.out / f"{frame.name}.png", np.concatenate([filmed, driven], axis=1))
 
 

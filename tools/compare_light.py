@@ -100,9 +100,7 @@ def main(config: CompareConfig) -> None:
         raise UserError("--only", expected=f"some of {', '.join(VARIANTS)}", found=", ".join(unknown))
     sequence = _open_own(config)
     rows = []
-    with PixelCache(
-        sequence.frames, width=config.resolution, height=config.resolution, max_bytes=PIXEL_CACHE_BYTES
-    ) as pixels:
+    with PixelCache(sequence.frames, resolution=config.resolution, max_bytes=PIXEL_CACHE_BYTES) as pixels:
         for name in config.only:
             avatar = _fit(config, VARIANTS[name], sequence, pixels)
             scores = _score(config, avatar, sequence)

@@ -38,7 +38,7 @@ class OverviewConfig:
     frame: int = 0
     """Which of the avatar's own frames, test frames first."""
     resolution: int = 320
-    """Width and height of each picture, pixels."""
+    """Longer side of each picture, pixels."""
 
 
 @torch.no_grad()
@@ -46,7 +46,7 @@ def main(config: OverviewConfig) -> None:
     """Render the pictures and write them side by side."""
     avatar = Avatar.load(config.avatar)
     frame = frame_at(read_frames(config.avatar), config.frame)
-    camera = frame.camera.resized(width=config.resolution, height=config.resolution)
+    camera = frame.camera.with_longer_side(config.resolution)
     scene = Scene(avatar, (), Background("env", color_space=avatar.settings.color_space))
     view = scene.view(frame._replace(camera=camera))
     captured = scene.shade(view, avatar.light(), 1.0)

@@ -8,6 +8,7 @@ from PIL import Image, ImageDraw
 from samira_warp.check.views import View, coverage, faces_before
 from samira_warp.data.pixels import read_picture
 from samira_warp.io.images import resize_box
+from samira_warp.stage.fitting import centred
 from samira_warp.stage.sheet import contact_sheet
 from samira_warp.support.errors import UserError
 
@@ -37,7 +38,7 @@ def mesh_sheet(views: list[View], faces: np.ndarray, *, parts: dict[str, str]) -
     pictures = [_picture(view, faces) for view in views]
     height, width = (max(picture.shape[side] for picture in pictures) for side in (0, 1))
     labels = [f"{view.frame.name} {parts.get(view.frame.name, '')}".strip() for view in views]
-    return contact_sheet([_centred(picture, height, width) for picture in pictures], labels)
+    return contact_sheet([centred(picture, width=width, height=height) for picture in pictures], labels)
 
 
 def mesh_overlay(view: View, faces: np.ndarray, *, width: int, height: int) -> np.ndarray:
@@ -65,9 +66,8 @@ def mesh_overlay(view: View, faces: np.ndarray, *, width: int, height: int) -> n
 
 def _picture(view: View, faces: np.ndarray) -> np.ndarray:
     """(h, w, 3) a frame with its mesh; grey where the picture cannot be decoded."""
-    camera = view.frame.camera
-    scale = CELL / max(camera.width, camera.height)
-    width, height = max(round(camera.width * scale), 1), max(round(camera.height * scale), 1)
+    camera = view.frame.camera.with_longer_side(CELL)
+    width, height = camera.width, camera.height
     try:
         picture = resize_box(read_picture(view.frame), width=width, height=height)
     except UserError:
@@ -85,11 +85,3 @@ def _border(covered: np.ndarray) -> np.ndarray:
     """(h, w) bool: covered pixels beside uncovered ones."""
     padded = np.pad(covered, 1, mode="edge")
     return covered & ~(padded[:-2, 1:-1] & padded[2:, 1:-1] & padded[1:-1, :-2] & padded[1:-1, 2:])
-
-
-def _centred(picture: np.ndarray, height: int, width: int) -> np.ndarray:
-    """The picture in the middle of a white one."""
-    top, left = (height - picture.shape[0]) // 2, (width - picture.shape[1]) // 2
-    canvas = np.ones((height, width, 3), np.float32)
-    canvas[top : top + picture.shape[0], left : left + picture.shape[1]] = picture
-    return canvas

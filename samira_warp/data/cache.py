@@ -30,23 +30,23 @@ class _Stored(NamedTuple):
 
 
 class PixelCache:
-    """The pixels of a sequence at one size; the least recently used are decoded again.
+    """The pixels of a sequence at one resolution; the least recently used are decoded again.
+
+    Every frame keeps the shape of its own camera: ``frame.camera.with_longer_side(resolution)`` is the view
+    of its pixels.
 
     A frame has the same bits whether it was kept, fetched ahead or just decoded. Use as a context manager, or
     call ``close``.
 
     Args:
         frames: What ``index`` counts.
-        width: Width of every result, pixels.
-        height: Height of every result, pixels.
+        resolution: Longer side of every result, pixels.
         max_bytes: Budget of the frames that are kept; those being fetched ahead come on top.
     """
 
-    def __init__(
-        self, frames: Sequence[FrameFiles], *, width: int, height: int, max_bytes: int = 1 << 30
-    ) -> None:
+    def __init__(self, frames: Sequence[FrameFiles], *, resolution: int, max_bytes: int = 1 << 30) -> None:
         self._frames = frames
-        self._size = {"width": width, "height": height}
+        self._resolution = resolution
         self._max_bytes = max_bytes
         self._kept: OrderedDict[int, _Stored] = OrderedDict()
         self._kept_bytes = 0
@@ -98,7 +98,9 @@ class PixelCache:
         )
 
     def _decode(self, index: int) -> _Stored:
-        pixels = load_pixels(self._frames[index], **self._size)
+        frame = self._frames[index]
+        camera = frame.camera.with_longer_side(self._resolution)
+        pixels = load_pixels(frame, width=camera.width, height=camera.height)
         return _Stored(
             _pack(pixels.image), _pack(pixels.mask), None if pixels.albedo is None else _pack(pixels.albedo)
         )

@@ -84,17 +84,22 @@ def evaluate_images(
 
     Returns:
         What ``results.json`` and the command report: averages by name (None where no frame has the score),
-        ``lpips_reason`` where lpips is None, ``regions`` with averages by region, ``frames`` with scores by
-        frame name, and ``protocol``.
+        ``lpips_reason`` where a frame has no LPIPS, ``regions`` with averages by region, ``frames`` with
+        scores by frame name, and ``protocol``.
     """
     distance, reason = (None, lpips) if isinstance(lpips, str) else (lpips, None)
     totals, region_totals = _Totals(), {name: _Totals() for name in (region_names or {}).values()}
     frames: dict[str, Any] = {}
     with torch.no_grad():
         for pair in pairs:
-            if distance is not None and min(pair.truth.shape[:2]) < SMALLEST_IMAGE:
-                distance, reason = None, f"images are smaller than {SMALLEST_IMAGE} pixels"
-            tensors = _score_normals(pair) if layer == "normal" else _score_image(pair, layer, distance)
+            small = min(pair.truth.shape[:2]) < SMALLEST_IMAGE
+            if distance is not None and small:
+                reason = f"images are smaller than {SMALLEST_IMAGE} pixels"
+            tensors = (
+                _score_normals(pair)
+                if layer == "normal"
+                else _score_image(pair, layer, None if small else distance)
+            )
             scores = {name: _finite(score) for name, score in tensors.items()}
             totals.add(scores)
             frames[pair.name] = scores

@@ -45,6 +45,13 @@ class Camera:
             height=height,
         )
 
+    def with_longer_side(self, pixels: int) -> Camera:
+        """The same view at its own shape, with so many pixels along its longer side."""
+        scale = pixels / max(self.width, self.height)
+        return self.resized(
+            width=max(round(self.width * scale), 1), height=max(round(self.height * scale), 1)
+        )
+
     def to(self, device: torch.device | str) -> Camera:
         """The same camera with its transform on ``device``."""
         return replace(self, world_to_camera=self.world_to_camera.to(device))

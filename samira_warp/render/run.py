@@ -91,7 +91,7 @@ def _render_sequence(config: RenderConfig, scene: Scene, frames: list[DrivingFra
     filmed = config.layers if config.video or config.turntable is not None else ()
     _say_what_stays(config, names, films=bool(filmed))
     if filmed:
-        _say_film_size(frames[0].camera)
+        _say_film_size([frame.camera for frame in frames])
     _make_folders(config)
     with ExitStack() as stack:
         videos = {
@@ -154,13 +154,18 @@ def _say_what_stays(config: RenderConfig, names: list[str], *, films: bool) -> N
         print(f"note: {config.out} keeps {count}, such as {stay[0].relative_to(config.out)}", file=sys.stderr)
 
 
-def _say_film_size(camera: Camera) -> None:
-    """Say so where the film is smaller than its pictures."""
-    pictures = camera.width, camera.height
-    film = film_size(*pictures)
-    if film != pictures:
-        sizes = "the film is {} x {} and its pictures {} x {}".format(*film, *pictures)
-        print(f"note: {sizes}: H.264 holds even sizes only", file=sys.stderr)
+def _say_film_size(cameras: list[Camera]) -> None:
+    """Say so where the film has another size than some of its pictures."""
+    first, *others = dict.fromkeys((camera.width, camera.height) for camera in cameras)
+    film = film_size(*first)
+    if not others and film == first:
+        return
+    pictures = " or ".join(f"{width} x {height}" for width, height in (first, *others))
+    reasons = ["H.264 holds even sizes only"] if film != first else []
+    if others:
+        reasons.append("it has its first picture's shape, and others are fitted into it on white")
+    sizes = "the film is {} x {} and its pictures {}".format(*film, pictures)
+    print(f"note: {sizes}: {'; '.join(reasons)}", file=sys.stderr)
 
 
 def _make_folders(config: RenderConfig) -> None:

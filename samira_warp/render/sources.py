@@ -13,7 +13,6 @@ from samira_warp.avatar import Avatar, CanonicalHead, DrivingFrame, read_frames
 from samira_warp.avatar.driving import Driver, PoseRange, match_expressions, match_joints
 from samira_warp.avatar.storage import TEMPLATE_FILE, read_record
 from samira_warp.data import TrackedSequence, open_sequence
-from samira_warp.geometry.camera import Camera
 from samira_warp.head import FrameParameters, HeadTemplate
 from samira_warp.render.config import RenderConfig
 from samira_warp.stage.frames import parse_frames
@@ -41,7 +40,7 @@ def select_frames(config: RenderConfig, avatar: Avatar, folder: Path) -> list[Dr
             found=f"none in {config.frames or 'the split'}",
         )
     longer = config.resolution or max(own[0].camera.width, own[0].camera.height)
-    return [frame._replace(camera=_at_size(frame.camera, longer)) for frame in chosen]
+    return [frame._replace(camera=frame.camera.with_longer_side(longer)) for frame in chosen]
 
 
 def _own(config: RenderConfig, frames: list[DrivingFrame], template: HeadTemplate) -> Iterator[DrivingFrame]:
@@ -116,10 +115,3 @@ def _neutral(config: RenderConfig, sequence: TrackedSequence) -> FrameParameters
     if not 0 <= number < count:
         raise UserError("--neutral-frame", expected=f"a frame from 0 to {count - 1}", found=number)
     return sequence.frames[number].parameters
-
-
-def _at_size(camera: Camera, longer: int) -> Camera:
-    scale = longer / max(camera.width, camera.height)
-    return camera.resized(
-        width=max(round(camera.width * scale), 1), height=max(round(camera.height * scale), 1)
-    )

@@ -9,6 +9,7 @@ from types import TracebackType
 import imageio_ffmpeg
 import numpy as np
 
+from samira_warp.stage.fitting import fitted
 from samira_warp.support.errors import UserError
 
 Stream = Generator[None, np.ndarray | None, None]
@@ -26,6 +27,7 @@ class VideoWriter:
     def __init__(self, path: Path, *, frames_per_second: float) -> None:
         """Nothing is written before the first frame, whose size is the video's."""
         self.path, self.frames_per_second = path, frames_per_second
+        self._size: tuple[int, int] | None = None
         self._writer: Stream | None = None
 
     def __enter__(self) -> VideoWriter:
@@ -38,14 +40,22 @@ class VideoWriter:
             self._writer.close()
 
     def add(self, picture: np.ndarray) -> None:
-        """Append one (H, W, 3) uint8 frame; what is beyond `film_size` is cut off at the right and below.
+        """Append one (H, W, 3) uint8 frame.
+
+        Of frames of the first one's size, what is beyond `film_size` is cut off at the right and below;
+        others are fitted into the film, on white.
 
         Raises:
             UserError: The first frame is too small.
         """
-        width, height = film_size(picture.shape[1], picture.shape[0])
+        size = picture.shape[1], picture.shape[0]
+        if self._size is None:
+            self._size = size
+        width, height = film_size(*self._size)
         if self._writer is None:
             self._writer = self._open(picture, width=width, height=height)
+        if size != self._size:
+            picture = fitted(picture, width=width, height=height)
         self._writer.send(np.ascontiguousarray(picture[:height, :width]))
 
     def _open(self, picture: np.ndarray, *, width: int, height: int) -> Stream:

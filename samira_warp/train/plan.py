@@ -20,12 +20,13 @@ class TrainPlan:
 
     Attributes:
         settings: Every option.
-        size: Width and height of the training images, pixels.
+        sizes: Widths and heights of the training images, pixels: one for each shape of camera, the first
+            frame's first.
         schedule: What happens when; its ``steps`` is the length of the run.
     """
 
     settings: Settings
-    size: tuple[int, int]
+    sizes: tuple[tuple[int, int], ...]
     schedule: Schedule
 
 
@@ -48,14 +49,13 @@ def make_plan(
         schedule = Schedule(min(settings.epochs * frames, settings.max_steps or settings.epochs * frames))
     else:
         schedule = _extended(begun, config, frames=frames, out=settings.out)
-    return TrainPlan(settings, image_size(sequence, settings.resolution), schedule)
+    return TrainPlan(settings, image_sizes(sequence, settings.resolution), schedule)
 
 
-def image_size(sequence: TrackedSequence, resolution: int) -> tuple[int, int]:
-    """Width and height of the training images: the longer side is ``resolution``."""
-    camera = sequence.frames[0].camera
-    scale = resolution / max(camera.width, camera.height)
-    return max(round(camera.width * scale), 1), max(round(camera.height * scale), 1)
+def image_sizes(sequence: TrackedSequence, resolution: int) -> tuple[tuple[int, int], ...]:
+    """Widths and heights of the training images, each once: the longer side is ``resolution``."""
+    cameras = (frame.camera.with_longer_side(resolution) for frame in sequence.frames)
+    return tuple(dict.fromkeys((camera.width, camera.height) for camera in cameras))
 
 
 def check_size(size: tuple[int, int], *, resolution: int) -> None:

@@ -41,26 +41,32 @@ def score(trainer: Trainer, lpips: Lpips | str) -> dict[str, Any]:
         lpips: The distance, or why there is none.
     """
     sequence, avatar = trainer.sequence, trainer.avatar
-    width, height = trainer.plan.size
     light = avatar.light()
 
     def pairs() -> Iterator[ImagePair]:
         for index in sequence.test:
             frame = sequence.frames[index]
-            rendering = avatar.render(frame.parameters.to(trainer.device), trainer.camera(frame), light)
+            camera = trainer.camera(frame)
+            rendering = avatar.render(frame.parameters.to(trainer.device), camera, light)
             prediction = torch.from_numpy(to_uint8(rendering.image.cpu().numpy())).float() / 255.0
             # not the cache's mask: at its 16 bits, pixels covered by exactly one half would count as
             # foreground
-            mask = load_mask(frame, width=width, height=height)
+            mask = load_mask(frame, width=camera.width, height=camera.height)
             yield ImagePair(frame.name, prediction, trainer.pixels[index].image, mask=mask)
 
     protocol = {
         "split": f"test frames of --split {trainer.plan.settings.split}",
-        "size": [width, height],
+        **_sizes(trainer),
         "bits": "8-bit predictions, box-resized truth",
         "parameters": "as tracked",
     }
     return evaluate_images(pairs(), lpips=lpips, protocol=protocol)
+
+
+def _sizes(trainer: Trainer) -> dict[str, Any]:
+    """The ``size`` [W, H] of the images that are scored, or ``sizes`` where cameras are of several shapes."""
+    sizes = [list(size) for size in trainer.plan.sizes]
+    return {"size": sizes[0]} if len(sizes) == 1 else {"sizes": sizes}
 
 
 def write_result(folder: Path, trainer: Trainer, record: dict[str, Any]) -> None:
@@ -93,7 +99,8 @@ def summary(results: dict[str, Any], settings: Settings) -> str:
         results: As `score` gives them.
         settings: Of the run.
     """
-    width, height = results["protocol"]["size"]
+    protocol = results["protocol"]
+    sizes = protocol["sizes"] if "sizes" in protocol else [protocol["size"]]
     named = {
         name: format.format(results[key])
         for key, (name, format) in ROWS.items()
@@ -105,7 +112,8 @@ def summary(results: dict[str, Any], settings: Settings) -> str:
     return "\n".join(
         [
             f"the avatar is in {settings.out / AVATAR_FOLDER}; "
-            f"on {len(results['frames'])} test frames of {width} x {height}:",
+            f"on {len(results['frames'])} test frames of "
+            f"{' or '.join(f'{width} x {height}' for width, height in sizes)}:",
             *(f"  {name:<{column}}  {value}" for name, value in named.items()),
             "next: its pictures, the same under another light, and their scores again, by any layer:",
             *(f"  {command}" for command in _next_commands(settings)),

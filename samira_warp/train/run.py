@@ -73,14 +73,14 @@ def _train(config: TrainConfig, out: Path) -> Path | None:
         made.dataset()
     sequence = open_checked(settings.data, split=settings.split, flame=settings.flame)
     plan = make_plan(settings, sequence, config, begun=begun)
-    check_size(plan.size, resolution=settings.resolution)
-    if min(plan.size) < SMALLEST_IMAGE:
+    smallest = min(plan.sizes, key=min)
+    check_size(smallest, resolution=settings.resolution)
+    if min(smallest) < SMALLEST_IMAGE:
         lpips = f"images are smaller than {SMALLEST_IMAGE} pixels"
     facts = json.loads(json.dumps(run_facts(plan, sequence, perceptual=isinstance(lpips, Lpips))))
     if begun is not None and begun.checkpoint is not None:
         check_same(begun, facts, folder=out)
-    width, height = plan.size
-    with PixelCache(sequence.frames, width=width, height=height, max_bytes=PIXEL_CACHE_BYTES) as pixels:
+    with PixelCache(sequence.frames, resolution=settings.resolution, max_bytes=PIXEL_CACHE_BYTES) as pixels:
         trainer, record = _at_its_beginning(plan, sequence, pixels, facts, begun)
         if isinstance(lpips, Lpips):
             trainer.perceptual = lpips.to(settings.device)
@@ -183,12 +183,16 @@ def _announce(plan: TrainPlan, sequence: TrackedSequence, lpips: Lpips | str, en
     """Say what will be trained, and which optional parts are missing and why."""
     frames = f"{len(sequence.train)} training and {len(sequence.test)} test frames"
     lines = [f"{sequence.root.name}: {frames} on {plan.settings.device}", *sequence.notes]
-    smallest = min((frame.camera for frame in sequence.frames), key=lambda camera: camera.width)
-    if smallest.width < plan.size[0]:
-        own = max(smallest.width, smallest.height)
+    resolution = plan.settings.resolution
+    smallest = min(
+        (frame.camera for frame in sequence.frames), key=lambda camera: max(camera.width, camera.height)
+    )
+    own = max(smallest.width, smallest.height)
+    if own < resolution:
+        enlarged = smallest.with_longer_side(resolution)
         lines.append(
-            f"pictures of {smallest.width} x {smallest.height} pixels are enlarged to {plan.size[0]} x "
-            f"{plan.size[1]}, which adds no detail: --resolution {own} trains at their own size"
+            f"pictures of {smallest.width} x {smallest.height} pixels are enlarged to {enlarged.width} x "
+            f"{enlarged.height}, which adds no detail: --resolution {own} trains at their own size"
         )
     lines.append(f"image encoder: {encoder}")
     if isinstance(lpips, str):

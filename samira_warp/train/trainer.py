@@ -116,9 +116,8 @@ class Trainer:
         return rendering, target, {**{name: term.detach() for name, term in terms.items()}, "mse": error}
 
     def camera(self, frame: Frame) -> Camera:
-        """The frame's camera at the training size, on the device."""
-        width, height = self.plan.size
-        return frame.camera.resized(width=width, height=height).to(self.device)
+        """The frame's camera at the training resolution, on the device."""
+        return frame.camera.with_longer_side(self.settings.resolution).to(self.device)
 
     def _row(self, step: int) -> int:
         """The training frame of a step: a permutation for every epoch, from the seed and the epoch alone."""

@@ -49,7 +49,7 @@ def equal(first, second):
 
 
 def test_eight_bit_frames_are_kept_exactly_enough(frames):
-    with PixelCache(frames, **SIZE) as pixels:
+    with PixelCache(frames, resolution=32) as pixels:
         for index, frame in enumerate(frames):
             ours, direct = pixels[index], load_pixels(frame, **SIZE)
             # k / 255 is 257 k / 65535; both are rounded to float32
@@ -60,23 +60,23 @@ def test_eight_bit_frames_are_kept_exactly_enough(frames):
 
 
 def test_averages_are_kept_to_sixteen_bits(frames):
-    with PixelCache(frames, width=20, height=12) as pixels:
+    with PixelCache(frames, resolution=20) as pixels:
         torch.testing.assert_close(
             pixels[0].image,
-            load_pixels(frames[0], width=20, height=12).image,
+            load_pixels(frames[0], width=20, height=20).image,
             atol=0.5 / 65535 + 6e-8,
             rtol=0,
         )
 
 
 def test_a_frame_is_decoded_once_within_the_budget(frames, decoded):
-    with PixelCache(frames, **SIZE) as pixels:
+    with PixelCache(frames, resolution=32) as pixels:
         ask(pixels, *range(6), *range(6), 3, 0)
     assert decoded == list(range(6))
 
 
 def test_the_least_recently_used_goes_first(frames, decoded):
-    with PixelCache(frames, **SIZE, max_bytes=2 * WITH_ALBEDO) as pixels:
+    with PixelCache(frames, resolution=32, max_bytes=2 * WITH_ALBEDO) as pixels:
         ask(pixels, 0, 1, 0, 2)  # 1 goes
         ask(pixels, 0, 2, 1)  # 0 goes
         ask(pixels, 2, 1, 0)
@@ -86,7 +86,7 @@ def test_the_least_recently_used_goes_first(frames, decoded):
 def test_the_budget_counts_bytes(frames, decoded):
     """Three frames without an albedo take less than two with one: the budget is of bytes, not of frames."""
     assert 2 * WITHOUT <= 2 * WITH_ALBEDO < 3 * WITHOUT + WITH_ALBEDO
-    with PixelCache(frames, **SIZE, max_bytes=WITH_ALBEDO + WITHOUT) as pixels:
+    with PixelCache(frames, resolution=32, max_bytes=WITH_ALBEDO + WITHOUT) as pixels:
         ask(pixels, 0, 4, 0, 4)
         assert decoded == [0, 4]
         ask(pixels, 5, 4)  # 0, the oldest, is enough to go
@@ -94,13 +94,13 @@ def test_the_budget_counts_bytes(frames, decoded):
 
 
 def test_a_frame_larger_than_the_budget_is_decoded_each_time(frames, decoded):
-    with PixelCache(frames, **SIZE, max_bytes=WITHOUT) as pixels:
+    with PixelCache(frames, resolution=32, max_bytes=WITHOUT) as pixels:
         ask(pixels, 4, 0, 0, 4)
     assert decoded == [4, 0, 0]
 
 
 def test_no_budget_keeps_nothing_and_still_answers(frames, decoded):
-    with PixelCache(frames, **SIZE, max_bytes=0) as pixels:
+    with PixelCache(frames, resolution=32, max_bytes=0) as pixels:
         first, second = pixels[0], pixels[0]
     assert decoded == [0, 0]
     assert equal(first, second)
@@ -109,8 +109,8 @@ def test_no_budget_keeps_nothing_and_still_answers(frames, decoded):
 def test_content_does_not_depend_on_how_a_frame_came(frames):
     """Just decoded, kept, fetched ahead, and decoded again after it was dropped: the same bits."""
     with (
-        PixelCache(frames, width=20, height=20) as plain,
-        PixelCache(frames, width=20, height=20, max_bytes=WITH_ALBEDO) as pressed,
+        PixelCache(frames, resolution=20) as plain,
+        PixelCache(frames, resolution=20, max_bytes=WITH_ALBEDO) as pressed,
     ):
         pressed.prefetch(range(6))
         for order in ((3, 0, 5, 1, 4, 2), (2, 2, 0, 5)):
@@ -120,14 +120,14 @@ def test_content_does_not_depend_on_how_a_frame_came(frames):
 
 
 def test_results_are_the_callers_own(frames):
-    with PixelCache(frames, **SIZE) as pixels:
+    with PixelCache(frames, resolution=32) as pixels:
         before = pixels[0].image.clone()
         pixels[0].image.zero_()
         assert torch.equal(pixels[0].image, before)
 
 
 def test_frames_fetched_ahead_are_decoded_once(frames, decoded):
-    with PixelCache(frames, **SIZE) as pixels:
+    with PixelCache(frames, resolution=32) as pixels:
         pixels[0]
         pixels.prefetch([0, 1, 2])
         pixels.prefetch([2, 1, 3])
@@ -143,7 +143,7 @@ def test_fetching_ahead_runs_beside_the_caller(frames, monkeypatch):
         return load_pixels(frame, **size)
 
     monkeypatch.setattr(cache, "load_pixels", load)
-    with PixelCache(frames, **SIZE) as pixels:
+    with PixelCache(frames, resolution=32) as pixels:
         pixels.prefetch([0])
         pixels[0]
         pixels[1]
@@ -162,7 +162,7 @@ def test_closing_ends_the_thread_and_drops_what_waits(frames, monkeypatch):
 
     monkeypatch.setattr(cache, "load_pixels", load)
     before = threading.active_count()
-    pixels = PixelCache(frames, **SIZE)
+    pixels = PixelCache(frames, resolution=32)
     pixels.prefetch(range(6))
     assert started.wait(10)
     threading.Timer(0.05, go.set).start()
@@ -176,7 +176,7 @@ def test_closing_ends_the_thread_and_drops_what_waits(frames, monkeypatch):
 
 def test_a_cache_that_fetched_nothing_has_no_thread(frames):
     before = threading.active_count()
-    with PixelCache(frames, **SIZE) as pixels:
+    with PixelCache(frames, resolution=32) as pixels:
         pixels[0]
         assert threading.active_count() == before
 
@@ -186,7 +186,7 @@ def test_a_broken_file_is_reported_when_its_frame_is_asked_for(tiny_dataset, tmp
     path = root / "images" / "00001_00.png"
     whole = path.read_bytes()
     cut(path)
-    with PixelCache(open_listing(root).frames, **SIZE) as pixels:
+    with PixelCache(open_listing(root).frames, resolution=32) as pixels:
         pixels.prefetch(range(3))
         ask(pixels, 0, 2)
         for _ in range(2):

@@ -278,7 +278,7 @@ def test_a_long_sequence_is_read_once_and_streamed(long_root, reads):
     assert reads == []
     frame_bytes = SIZE * SIZE * 4 * 2
     tracemalloc.start()
-    with PixelCache(first.frames, width=SIZE, height=SIZE, max_bytes=20 * frame_bytes) as pixels:
+    with PixelCache(first.frames, resolution=SIZE, max_bytes=20 * frame_bytes) as pixels:
         for number in range(0, FRAMES, 5):
             assert pixels[number].image.shape == (SIZE, SIZE, 3)
     peak = tracemalloc.get_traced_memory()[1]

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from samira_warp.io.images import resize_box, write_png
+from samira_warp.io.images import read_rgba, resize_box, write_png
 
 RADIUS = 0.1
 N_SHAPE, N_EXPRESSION = 2, 4
@@ -88,6 +88,23 @@ def make_tiny_dataset(path: Path, frames: int = 6, size: int = 32, *, static_off
             "frames": part,
         }
         (path / f"transforms{name}.json").write_text(json.dumps(document))
+    return path
+
+
+def crop_to_two_shapes(path: Path) -> Path:
+    """Cut a tiny dataset's pictures to three quarters: the even frames' height, the odd frames' width."""
+    for listed in path.glob("transforms*.json"):
+        document = json.loads(listed.read_text())
+        for entry in document["frames"]:
+            side, centre = ("w", "cx") if entry["timestep_index"] % 2 else ("h", "cy")
+            entry[centre] -= entry[side] // 8
+            entry[side] -= 2 * (entry[side] // 8)
+        listed.write_text(json.dumps(document))
+    for picture in sorted(path.glob("*/*.png")):
+        pixels = read_rgba(picture)[0]
+        cut = pixels.shape[0] // 8
+        wide = int(picture.stem[:5]) % 2 == 0
+        write_png(picture, pixels[cut:-cut] if wide else pixels[:, cut:-cut])
     return path
 
 

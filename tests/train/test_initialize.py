@@ -177,14 +177,14 @@ def test_initial_albedo_is_the_pseudo_albedo_or_the_reference_image(sequence):
     canonical = small_canonical()
     size = canonical.atlas.size
     reference = torch.full((size, size, 3), 0.123)
-    with PixelCache(sequence.frames, width=32, height=32) as pixels:
+    with PixelCache(sequence.frames, resolution=32) as pixels:
         found = initial_albedo(sequence, pixels, canonical, reference)
         assert not torch.allclose(found, reference)
         # skin's display values in the made-up subject's albedo
         skin = torch.tensor([0.7, 0.45, 0.35]) ** (1 / 2.2)
         assert ((found - skin).abs().amax(-1) < 0.02).float().mean() > 0.1
     bare = replace(sequence, frames=tuple(replace(frame, albedo_path=None) for frame in sequence.frames))
-    with PixelCache(bare.frames, width=32, height=32) as pixels:
+    with PixelCache(bare.frames, resolution=32) as pixels:
         assert initial_albedo(bare, pixels, canonical, reference) is reference
 
 
