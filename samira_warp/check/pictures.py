@@ -5,19 +5,25 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
-from functools import partial
 from pathlib import Path
+from typing import TypeVar
 
+import numpy as np
 from tqdm import tqdm
 
 from samira_warp.check.findings import Finding, finding_of
 from samira_warp.data import FrameFiles, Listing
 from samira_warp.data.mattes import read_matte
 from samira_warp.data.pictures import key_of, natural, pictures_of, stem_of
+from samira_warp.data.pixels import unmatted_albedos
 from samira_warp.data.vhap import CANONICAL_FILE
 from samira_warp.io.files import read_json
 from samira_warp.io.images import read_on_white, read_rgba
 from samira_warp.support.errors import UserError
+
+Decoded = TypeVar("Decoded")
+
+_GIVE_MATTES = "give these frames masks, or pictures with an alpha channel"
 
 _BATCH = 64
 """Frames that are handed to the threads at once: what waits for its turn costs memory."""
@@ -72,6 +78,27 @@ def unlisted(listing: Listing) -> list[Finding]:
     return found
 
 
+def unused_albedos(listing: Listing) -> list[Finding]:
+    """Albedo files that training compares nothing with, for want of a matte, by their folder."""
+    try:
+        unmatted = unmatted_albedos(listing.frames)
+    except UserError:  # what cannot be opened has been said
+        return []
+    files = [frame.albedo_path for frame in unmatted if frame.albedo_path is not None]
+    return [
+        Finding(
+            "warning",
+            str(folder),
+            "a matte for every frame with an albedo, which is compared inside it",
+            f"neither a mask nor an alpha channel for {len(names)} of the albedo files, the first is "
+            f"{names[0]}, so that they are not used",
+            _GIVE_MATTES,
+        )
+        for folder in sorted({path.parent for path in files})
+        if (names := [path.name for path in files if path.parent == folder])
+    ]
+
+
 def _names(folder: Path) -> Iterable[str]:
     try:
         return pictures_of(folder)
@@ -81,29 +108,34 @@ def _names(folder: Path) -> Iterable[str]:
 
 def _decoded(frame: FrameFiles) -> list[Finding]:
     """What is wrong with one frame's files."""
-    found = []
-    reads: list[Callable[[], object]] = [partial(read_rgba, frame.image_path)]
-    if frame.albedo_path is not None:
-        reads.append(partial(read_on_white, frame.albedo_path))
-    for read in reads:
+    found: list[Finding] = []
+
+    def decode(read: Callable[[Path], Decoded], path: Path) -> Decoded | None:
         try:
-            read()
+            return read(path)
         except UserError as fault:
             found.append(finding_of(fault))
+            return None
+
+    picture = decode(read_rgba, frame.image_path)
+    if frame.albedo_path is not None:
+        decode(read_on_white, frame.albedo_path)
     if frame.mask_path is not None:
-        try:
-            covered = read_matte(frame.mask_path).max()
-        except UserError as fault:
-            return [*found, finding_of(fault)]
-        if covered < 0.5:
-            remedy = "make the mask again, or take the frame out of the lists"
-            found.append(
-                Finding(
-                    "warning",
-                    str(frame.mask_path),
-                    "a head that is covered",
-                    f"at most {covered:.0%} of coverage",
-                    remedy,
-                )
-            )
+        matte = decode(read_matte, frame.mask_path)
+    else:
+        matte = None if picture is None else picture[1]
+    return found if matte is None else [*found, *_of_matte(frame, matte)]
+
+
+def _of_matte(frame: FrameFiles, matte: np.ndarray) -> list[Finding]:
+    """What is wrong with a matte that covers nothing, or everything."""
+    found, least, most = [], matte.min(), matte.max()
+    if most < 0.5:
+        remedy = "make the mask again, or take the frame out of the lists"
+        place, covered = str(frame.mask_path or frame.image_path), f"at most {most:.0%} of coverage"
+        found.append(Finding("warning", place, "a head that is covered", covered, remedy))
+    if least >= 1.0 and frame.albedo_path is not None:
+        wanted = "a matte for every frame with an albedo, which is compared inside it"
+        covered = "one that covers everything, so that the albedo is not used"
+        found.append(Finding("warning", str(frame.albedo_path), wanted, covered, _GIVE_MATTES))
     return found

@@ -13,7 +13,7 @@ from samira_warp.check.drawing import mesh_sheet
 from samira_warp.check.facts import head_facts, listing_facts, size_notes
 from samira_warp.check.findings import Finding, in_lines
 from samira_warp.check.opening import open_collecting
-from samira_warp.check.pictures import undecodable, unlisted
+from samira_warp.check.pictures import undecodable, unlisted, unused_albedos
 from samira_warp.check.symptoms import symptoms_of
 from samira_warp.check.views import sampled_views
 from samira_warp.data import recognise
@@ -103,6 +103,7 @@ def check_dataset(
             }
             sheet = mesh_sheet(views, sequence.template.faces, parts=parts if opened.divided else {})
     findings += unlisted(listing)
+    findings += unused_albedos(listing)
     return Report(facts, (*listing.notes, *size_notes(listing)), tuple(findings), sheet, command)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +11,7 @@ from torch import Tensor
 
 from samira_warp.data.frames import FrameFiles
 from samira_warp.data.mattes import read_matte
-from samira_warp.io.images import composite_on_white, read_on_white, read_rgba, resize_box
+from samira_warp.io.images import composite_on_white, has_alpha, read_on_white, read_rgba, resize_box
 
 BACKGROUND_TOLERANCE = 4.0 / 255.0
 """Uncovered pixels this close to one colour are an export's background; JPEG's rounding stays within it."""
@@ -91,6 +92,21 @@ def load_mask(frame: FrameFiles, *, width: int, height: int) -> Tensor | None:
         return None
     mask = _straight(frame, mask)
     return torch.from_numpy(np.ascontiguousarray(resize_box(mask, width=width, height=height)))
+
+
+def unmatted_albedos(frames: Iterable[FrameFiles]) -> list[FrameFiles]:
+    """The frames that have a pseudo-albedo and neither a mask nor an alpha channel; no pixels are decoded.
+
+    Albedo is compared inside a matte alone: without one it would be what is behind the head as well.
+
+    Raises:
+        UserError: A picture is missing or no image.
+    """
+    return [
+        frame
+        for frame in frames
+        if frame.albedo_path is not None and frame.mask_path is None and not has_alpha(frame.image_path)
+    ]
 
 
 def read_picture(frame: FrameFiles) -> np.ndarray:

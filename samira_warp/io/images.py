@@ -52,6 +52,16 @@ def is_linear(path: Path) -> bool:
         return holds_floats(image.spec())
 
 
+def has_alpha(path: Path) -> bool:
+    """Whether a file has an alpha channel, from the header alone.
+
+    Raises:
+        UserError: The file is missing or its header is not an image's.
+    """
+    with opened(path, whole=False) as image:
+        return image.spec().alpha_channel >= 0
+
+
 def holds_floats(spec: oiio.ImageSpec) -> bool:
     """Whether the pixels that a header describes are floating-point values."""
     return spec.format.basetype in (oiio.HALF, oiio.FLOAT, oiio.DOUBLE)

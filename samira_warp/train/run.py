@@ -10,6 +10,7 @@ from typing import Any
 from samira_warp.avatar import Avatar
 from samira_warp.check.opening import open_checked
 from samira_warp.data import PixelCache, TrackedSequence
+from samira_warp.data.pixels import unmatted_albedos
 from samira_warp.data.subjects import MadeSubject, made_subject
 from samira_warp.evaluate import Lpips, find_lpips
 from samira_warp.evaluate.config import LpipsNet
@@ -197,6 +198,24 @@ def _announce(plan: TrainPlan, sequence: TrackedSequence, lpips: Lpips | str, en
     lines.append(f"image encoder: {encoder}")
     if isinstance(lpips, str):
         lines.append(f"no LPIPS term: {lpips}")
-    if not any(sequence.frames[index].albedo_path for index in sequence.train):
-        lines.append("no pseudo-albedo: the absolute brightness of a relit image is undefined")
+    lines += _albedo_notes(plan, sequence)
     print("\n".join(lines), file=sys.stderr)
+
+
+def _albedo_notes(plan: TrainPlan, sequence: TrackedSequence) -> list[str]:
+    """Which pseudo-albedo is not compared with, and what follows where none is."""
+    if "no-albedo" in plan.settings.ablate:
+        return []
+    frames = [sequence.frames[index] for index in sequence.train]
+    having = [frame for frame in frames if frame.albedo_path is not None]
+    unmatted = unmatted_albedos(having)
+    lines = []
+    if unmatted:
+        lines.append(
+            f"{len(unmatted)} of {len(having)} albedo files are not compared with, the first is "
+            f"{unmatted[0].albedo_path}: their frames have neither a mask nor an alpha channel, and albedo "
+            "is compared inside a matte alone"
+        )
+    if len(unmatted) == len(having):
+        lines.append("no pseudo-albedo: the absolute brightness of a relit image is undefined")
+    return lines

@@ -193,6 +193,37 @@ def test_what_is_absent_is_said(tmp_path, capsys):
     )
 
 
+@pytest.mark.parametrize("quick", [True, False])
+def test_albedo_files_without_a_matte_are_a_warning(dataset, tmp_path, capsys, quick):
+    """One frame has lost its mask; without decoding that is seen as well."""
+    change_json(dataset / "transforms_train.json", lambda d: d["frames"][1].pop("fg_mask_path"))
+    options = ("--quick",) if quick else ("--out", tmp_path / "sheet.png")
+    assert check("--data", dataset, *options) == 0
+    said = capsys.readouterr().out
+    warnings = [line for line in said.splitlines() if line.startswith("warning: ")]
+    assert len(warnings) == 1
+    assert f"{dataset / 'albedo'}: expected a matte for every frame with an albedo" in warnings[0]
+    assert "neither a mask nor an alpha channel for 1 of the albedo files" in warnings[0]
+    assert warnings[0].count("00001_00.png") == 1
+    assert "once you have judged the 1 warning above" in said
+
+
+@pytest.mark.parametrize("alpha", [True, False])
+def test_albedo_files_under_a_matte_of_everything_are_a_warning(dataset, tmp_path, capsys, alpha):
+    opaque = np.ones((32, 32, 1), np.float32)
+    if alpha:
+        change_json(dataset / "transforms_train.json", lambda d: d["frames"][1].pop("fg_mask_path"))
+        path = dataset / "images" / "00001_00.png"
+        write_png(path, np.concatenate([read_image(path, channels=3), opaque], axis=2))
+    else:
+        write_png(dataset / "fg_masks" / "00001_00.png", opaque[..., 0])
+    assert check("--data", dataset, "--out", tmp_path / "sheet.png") == 0
+    said = capsys.readouterr().out
+    path = dataset / "albedo" / "00001_00.png"
+    assert f"warning: {path}: expected a matte for every frame with an albedo" in said
+    assert "one that covers everything, so that the albedo is not used" in said
+
+
 def test_a_head_model_from_elsewhere(dataset, tmp_path, capsys):
     (dataset / "template.npz").rename(tmp_path / "flame.npz")
     assert facts(capsys, "--data", dataset, "--flame", tmp_path / "flame.npz")["template"].startswith(

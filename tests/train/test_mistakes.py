@@ -323,3 +323,21 @@ def test_a_broken_test_image_is_named_and_the_avatar_is_kept(dataset, tmp_path, 
     assert train_command(*train_arguments(dataset, tmp_path / "run")) == 2
     assert str(dataset / "images" / "00005_00.png") in capsys.readouterr().err.strip().splitlines()[-1]
     Avatar.load(tmp_path / "run" / "avatar")
+
+
+@pytest.mark.parametrize("count", [1, 4])
+def test_albedo_of_frames_without_a_matte_is_said_to_be_unused(dataset, tmp_path, capfd, count):
+    change_json(dataset / TRAIN, lambda d: [entry.pop("fg_mask_path") for entry in d["frames"][:count]])
+    assert train_command(*train_arguments(dataset, tmp_path / "run")) == 0
+    said = capfd.readouterr().err
+    first = dataset / "albedo" / "00000_00.png"
+    assert said.count(f"{count} of 4 albedo files are not compared with, the first is {first}: ") == 1
+    assert ("no pseudo-albedo" in said) == (count == 4)
+
+
+def test_albedo_that_nobody_compares_with_is_not_missed(dataset, tmp_path, capfd):
+    change_json(dataset / TRAIN, lambda d: [entry.pop("fg_mask_path") for entry in d["frames"]])
+    assert train_command(*train_arguments(dataset, tmp_path / "run", "--ablate", "no-albedo")) == 0
+    said = capfd.readouterr().err
+    assert "pseudo-albedo" not in said
+    assert "albedo files" not in said
