@@ -7,8 +7,7 @@ posed by ``pose_<joint>``.
 
 from __future__ import annotations
 
-import zipfile
-import zlib
+from collections.abc import Collection
 from functools import partial
 from pathlib import Path
 from typing import NamedTuple
@@ -18,13 +17,17 @@ import torch
 from torch import Tensor
 
 from samira_warp.data.index import FileIndex
-from samira_warp.data.joints import pose_keys, rotations_on
+from samira_warp.data.joints import FLAME_KEYS, OTHER_KEY, pose_keys, rotations_on
 from samira_warp.head.flame import FLAME_VERTICES
 from samira_warp.head.parameters import FrameParameters
 from samira_warp.head.teeth import TEETH_VERTICES
 from samira_warp.head.template import HeadTemplate
+from samira_warp.io.npz import read_npz
 from samira_warp.support.errors import UserError
 from samira_warp.support.faults import all_of
+
+_KEYS = ("translation", "expr", "shape", "static_offset", "dynamic_offset")
+"""What is read of a file beside the poses."""
 
 
 class ParameterFile(NamedTuple):
@@ -100,28 +103,20 @@ def read_poses(
     return poses
 
 
-def load_parameters(path: Path) -> dict[str, np.ndarray]:
-    """The plain arrays of an .npz of tracked parameters.
+def load_parameters(path: Path, *, also: Collection[str] = ()) -> dict[str, np.ndarray]:
+    """The arrays of an .npz of tracked parameters that say something of the head.
+
+    Args:
+        path: The file.
+        also: Other entries that are wanted, where they are there.
 
     Raises:
-        UserError: The file is missing or broken, or holds pickles.
+        UserError: The file is missing or broken, or an array that is wanted is, or is a pickle.
     """
     if not path.is_file():
         raise UserError(path, expected="tracked parameters", found="no such file")
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            return dict(archive)
-    except (
-        ValueError,
-        TypeError,
-        AttributeError,
-        OSError,
-        EOFError,
-        NotImplementedError,
-        zipfile.BadZipFile,
-        zlib.error,
-    ) as fault:
-        raise UserError(path, expected="an .npz of plain arrays", found=fault) from fault
+    keys = {*_KEYS, *FLAME_KEYS, *also}
+    return read_npz(path, wanted=lambda key: key in keys or key.startswith(OTHER_KEY))
 
 
 def checked(path: Path, arrays: dict[str, np.ndarray], key: str, shape: tuple[int, ...]) -> np.ndarray:

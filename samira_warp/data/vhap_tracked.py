@@ -47,7 +47,7 @@ def open_vhap_tracked(root: Path, split: Split, index: FileIndex) -> Reading:
             pictures are missing.
     """
     path = max(files_of(root, TRACKED), key=lambda path: natural(path.name))
-    arrays = load_parameters(path)
+    arrays = load_parameters(path, also=("focal_length", "timestep_id"))
     if "focal_length" not in arrays:
         found = "none: the cameras were calibrated. Export the dataset with vhap.export_as_nerf_dataset"
         raise UserError(path, expected="the key focal_length", found=found)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import zipfile
-import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from samira_warp.head.joints import FLAME_JOINTS, ROOT, default_head_joint
+from samira_warp.io.npz import read_npz
 from samira_warp.support.errors import UserError
 
 
@@ -130,9 +129,9 @@ def template_of(path: Path, arrays: Mapping[str, np.ndarray]) -> HeadTemplate:
         vt=vt,
         ft=reader.integers("ft", (len(faces), 3), low=0, high=len(vt)),
         masks={
-            key.removeprefix("mask_"): reader.integers(key, (None,), low=0, high=vertices)
+            key.removeprefix(_MASK): reader.integers(key, (None,), low=0, high=vertices)
             for key in sorted(reader.arrays)
-            if key.startswith("mask_")
+            if key.startswith(_MASK)
         },
         expression_names=reader.names("expression_names", shapedirs.shape[2] - n_shape),
         joint_names=joint_names,
@@ -145,6 +144,18 @@ def save_template(template: HeadTemplate, path: str | Path) -> None:
     with Path(path).open("wb") as file:
         arrays: dict[str, Any] = _to_arrays(template)
         np.savez_compressed(file, **arrays)
+
+
+_KEYS = frozenset(
+    (
+        *("v_template", "shapedirs", "n_shape", "posedirs", "J_regressor", "kintree_table", "weights"),
+        *("f", "vt", "ft", "expression_names", "joint_names", "head_joint"),
+    )
+)
+"""What is read of a file beside the masks."""
+
+_MASK = "mask_"
+"""What precedes a region's name."""
 
 
 def _unnamed(index: int) -> str:
@@ -173,16 +184,16 @@ def _to_arrays(template: HeadTemplate) -> dict[str, np.ndarray]:
         "vt": template.vt,
         "ft": template.ft,
         "expression_names": np.asarray(template.expression_names, np.str_),
-        **{f"mask_{name}": ids for name, ids in template.masks.items()},
+        **{f"{_MASK}{name}": ids for name, ids in template.masks.items()},
         **names,
     }
 
 
 def load_arrays(path: Path) -> dict[str, np.ndarray]:
-    """The arrays of an npz file, none of them unpickled.
+    """The arrays of an npz file that a head is made of, none of them unpickled.
 
     Raises:
-        UserError: The file is missing, is a pickle, or an array in it cannot be read.
+        UserError: The file is missing, is a pickle, or an array that a head is made of cannot be read.
     """
     if path.suffix.lower() in {".pkl", ".pickle"}:
         raise UserError(
@@ -192,26 +203,7 @@ def load_arrays(path: Path) -> dict[str, np.ndarray]:
         )
     if not path.is_file():
         raise UserError(path, expected="an npz file with FLAME's keys", found="no such file")
-    arrays: dict[str, np.ndarray] = {}
-    place = f"{path}"
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            for key in archive.files:
-                place = f"{path}: {key}"
-                arrays[key] = archive[key]
-    except (
-        ValueError,
-        TypeError,
-        AttributeError,
-        OSError,
-        EOFError,
-        zipfile.BadZipFile,
-        zlib.error,
-    ) as error:
-        raise UserError(
-            place, expected="an npz file of plain arrays", found=f"unreadable content ({error})"
-        ) from error
-    return arrays
+    return read_npz(path, wanted=lambda key: key in _KEYS or key.startswith(_MASK))
 
 
 @dataclass(frozen=True)

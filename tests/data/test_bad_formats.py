@@ -316,3 +316,39 @@ def test_instas_lists_must_name_what_is_there(originals, tmp_path):
     assert "transforms_test.json: expected a list 'frames' of objects with a file_path" in refused(root)
     (root / "transforms_test.json").write_text('{"frames": [{"file_path": "images/00001.png"}]}')
     assert "expected frames that train and frames that test, found 0 of 1" in refused(root)
+
+
+class Trap:
+    """Unpickled, it would say so."""
+
+    def __reduce__(self):
+        return pytest.fail, ("a pickle was loaded",)
+
+
+EXTRA = {
+    "tracker": np.array([Trap()], dtype=object),
+    "n_processed_frames": np.int64(7),
+    "note": np.array("by hand"),
+}
+
+
+def test_entries_that_nobody_needs_change_nothing(originals, tmp_path):
+    root = shutil.copytree(originals / "VHAP tracked", tmp_path / "subject")
+    for name in (NPZ, "template.npz"):
+        change_arrays(root / name, **EXTRA)
+    same_sequences(open_sequence(root), open_sequence(originals / "VHAP tracked"))
+
+
+def same_sequences(first, second):
+    assert first.template.hash == second.template.hash
+    assert torch.equal(first.shape, second.shape)
+    parameters = [sequence.batch(range(len(sequence.frames))) for sequence in (first, second)]
+    for name in ("translation", "rotations", "expression"):
+        assert torch.equal(*(getattr(each, name) for each in parameters))
+
+
+@pytest.mark.parametrize("key", ["expr", "focal_length", "timestep_id", "static_offset", "pose_jaw"])
+def test_an_entry_that_is_needed_and_cannot_be_read_is_named(originals, tmp_path, key):
+    root = shutil.copytree(originals / "VHAP tracked", tmp_path / "subject")
+    change_arrays(root / NPZ, **{key: np.array([Trap()], dtype=object)})
+    assert f"{root / NPZ}: {key}: expected an .npz of plain arrays" in refused(root)

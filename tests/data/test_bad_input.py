@@ -7,6 +7,7 @@ import shutil
 
 import numpy as np
 import pytest
+import torch
 from data.damage import change_arrays, change_json, cut, widen, with_value
 
 from samira_warp.data import open_listing, open_sequence
@@ -179,7 +180,7 @@ PARAMETERS = {
     "pickled parameters": (
         FIRST,
         arrays(expr=lambda a: np.array([{"expr": a}], dtype=object)),
-        ".npz of plain arrays",
+        f"{FIRST}: expr: expected an .npz of plain arrays",
     ),
     "one array where an archive should be": (
         FIRST,
@@ -394,3 +395,15 @@ def test_a_split_that_cannot_be(dataset, split, fragment):
 def test_a_split_of_the_users_without_the_whole_list(dataset):
     (dataset / "transforms.json").unlink()
     assert str(dataset / "transforms.json") in refused(dataset, split="0.5")
+
+
+def test_entries_that_nobody_needs_change_nothing(dataset, tiny_dataset):
+    pickled = np.array([{"tracker": "VHAP"}], dtype=object)
+    for path in (*dataset.glob("flame_param/*.npz"), dataset / CANONICAL, dataset / TEMPLATE):
+        change_arrays(path, config=pickled, note=np.array("by hand"))
+    ours, plain = open_sequence(dataset), open_sequence(tiny_dataset)
+    assert ours.template.hash == plain.template.hash
+    assert torch.equal(ours.shape, plain.shape)
+    first, second = (sequence.batch(range(6)) for sequence in (ours, plain))
+    for name in ("translation", "rotations", "expression"):
+        assert torch.equal(getattr(first, name), getattr(second, name))

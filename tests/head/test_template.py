@@ -1,4 +1,5 @@
 import pickle
+import zipfile
 
 import numpy as np
 import pytest
@@ -333,6 +334,26 @@ def test_pickled_content_is_not_loaded(arrays, read):
         read(arrays)
 
 
+def test_entries_that_nobody_needs_are_not_read(arrays, read):
+    extra = {"settings": np.array([Trap()], dtype=object), "masks": np.zeros(3), "note": np.array("by hand")}
+    assert read({**arrays, **extra}).hash == read(arrays).hash
+
+
+def test_an_entry_that_is_no_array_is_refused_where_it_is_needed(arrays, read, tmp_path):
+    read(arrays)
+    path = tmp_path / "head.npz"
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr("readme.txt", "by hand")
+        archive.writestr("broken.npy", b"\x93NUMPY")
+    assert read_template(path).hash == read(arrays).hash
+    with zipfile.ZipFile(path, "a") as archive:
+        archive.writestr("mask_chin", "by hand")
+    with pytest.raises(
+        UserError, match=r"head\.npz: mask_chin: expected an \.npz of plain arrays, found .*no array"
+    ):
+        read_template(path)
+
+
 @pytest.mark.parametrize("name", ["generic_model.pkl", "FLAME.PICKLE"])
 def test_a_pickle_is_refused_unread(tmp_path, name):
     (tmp_path / name).write_bytes(pickle.dumps(Trap()))
@@ -342,7 +363,7 @@ def test_a_pickle_is_refused_unread(tmp_path, name):
 
 def test_a_pickle_by_another_name_is_not_loaded(tmp_path):
     (tmp_path / "head.npz").write_bytes(pickle.dumps(Trap()))
-    with pytest.raises(UserError, match=r"head\.npz: expected an npz file of plain arrays"):
+    with pytest.raises(UserError, match=r"head\.npz: expected an \.npz of plain arrays"):
         read_template(tmp_path / "head.npz")
 
 
