@@ -10,6 +10,7 @@ from tyro.conf import Positional
 
 from samira_warp.support.device_names import DeviceName
 from samira_warp.support.errors import UserError
+from samira_warp.support.image_size import check_side
 
 
 @dataclass(frozen=True)
@@ -56,6 +57,7 @@ class PrepareConfig:
         for name, (holds, expected) in ranges.items():
             if not holds:
                 raise UserError(f"--{name}", expected=expected, found=getattr(self, name))
+        check_side("--size", self.size)
         for name in ("mattes", "albedo"):
             folder = getattr(self, name)
             if folder is not None and not folder.is_dir():

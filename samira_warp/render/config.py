@@ -13,6 +13,7 @@ from samira_warp.stage.layer_names import Layer
 from samira_warp.support.device_names import DeviceName
 from samira_warp.support.errors import UserError
 from samira_warp.support.exposure import Exposure, check_exposure
+from samira_warp.support.image_size import check_side
 
 
 @dataclass(frozen=True)
@@ -79,6 +80,8 @@ class RenderConfig:
     def check(self) -> None:
         """Raise UserError unless every number can be used."""
         check_exposure(self.exposure, name="--exposure")
+        if self.resolution is not None:
+            check_side("--resolution", self.resolution)
         ranges = {
             "expression-gain": (math.isfinite(self.expression_gain), "a number"),
             "rotate": (math.isfinite(self.rotate), "degrees"),
@@ -86,7 +89,6 @@ class RenderConfig:
                 self.turntable is None or 0.0 < self.turntable < math.inf,
                 "a positive number of seconds",
             ),
-            "resolution": (self.resolution is None or self.resolution > 0, "a positive number of pixels"),
             "fps": (0.0 < self.fps < math.inf, "a positive number of frames"),
         }
         for name, (holds, expected) in ranges.items():

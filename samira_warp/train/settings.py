@@ -14,6 +14,7 @@ from samira_warp.data.split import parse_split
 from samira_warp.nets import MotionSettings
 from samira_warp.support.devices import DeviceName, pick_device
 from samira_warp.support.errors import UserError
+from samira_warp.support.image_size import check_side
 from samira_warp.train.config import PRESETS, Ablation, Preset, PresetName, TrainConfig
 
 WHERE = ("data", "flame", "out", "device", "lpips_weights", "checkpoint_every", "preview_every")
@@ -110,6 +111,8 @@ def check_config(config: TrainConfig) -> None:
         value = getattr(config, name)
         if value is not None and value < 1:
             raise UserError(option(name), expected="a positive number", found=value)
+    if config.resolution is not None:
+        check_side(option("resolution"), config.resolution)
     if config.split is not None:
         parse_split(config.split)
 

@@ -464,6 +464,7 @@ def files(tmp_path):
         (["--region", "nose"], "--region"),
         (["--resolution", "0"], "--resolution"),
         (["--resolution", "-8"], "--resolution"),
+        (["--resolution", "200000"], "at most 8192 pixels"),
         (["--fps", "0"], "--fps"),
     ],
     ids=lambda value: "=".join(value) if isinstance(value, list) else "",

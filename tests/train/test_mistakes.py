@@ -99,6 +99,7 @@ def test_a_broken_dataset_is_refused_before_anything_is_written(dataset, tmp_pat
         ("--epochs", "0"),
         ("--resolution", "0"),
         ("--resolution", "-4"),
+        ("--resolution", "200000"),
         ("--gaussians", "0"),
         ("--checkpoint-every", "0"),
         ("--preview-every", "-1"),

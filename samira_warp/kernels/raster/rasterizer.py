@@ -10,6 +10,7 @@ from samira_warp.geometry.camera import Camera
 from samira_warp.kernels.raster.blending import blend_unchecked
 from samira_warp.kernels.raster.projection import project_unchecked
 from samira_warp.kernels.raster.tiles import bin_tiles_unchecked
+from samira_warp.support.image_size import check_size
 from samira_warp.support.validation import check_tensors
 
 
@@ -48,7 +49,7 @@ def rasterize(
         camera: The view and the size of the image.
 
     Raises:
-        UserError: If a shape, dtype or device is wrong.
+        UserError: If a shape, dtype or device is wrong, or the image larger than `LARGEST_SIDE`.
     """
     check_tensors(
         ("means", means, ("N", 3)),
@@ -59,6 +60,7 @@ def rasterize(
         ("camera.world_to_camera", camera.world_to_camera, (4, 4)),
     )
     width, height = camera.width, camera.height
+    check_size("camera", width=width, height=height)
     projection = project_unchecked(means, quaternions, scales, opacities, camera)
     bins = bin_tiles_unchecked(projection, opacities, width=width, height=height)
     image = blend_unchecked(
