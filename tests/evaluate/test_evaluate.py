@@ -83,6 +83,16 @@ def test_lpips_is_averaged_and_its_net_named(generator):
     assert result["protocol"]["lpips_net"].startswith("alex")
 
 
+@pytest.mark.parametrize("small_first", [True, False])
+def test_lpips_of_two_sizes_is_that_of_the_frames_that_are_large_enough(generator, small_first):
+    large, truth = torch.rand(2, 32, 40, 3, generator=generator)
+    pairs = [ImagePair("large", large, truth), ImagePair("small", large[:31], truth[:31])]
+    result = evaluate(pairs[::-1] if small_first else pairs, lpips=FakeDistance())
+    assert result["lpips"] == result["frames"]["large"]["lpips"] is not None
+    assert result["frames"]["small"]["lpips"] is None
+    assert "smaller than 32 pixels" in result["lpips_reason"]
+
+
 def test_without_masks_the_foreground_has_no_score(generator):
     result = evaluate(
         [
