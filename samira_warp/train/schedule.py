@@ -42,12 +42,15 @@ RATES = {
     "response": constant(1e-3),
     "network": Rate((1e-4, 1e-5), (2e-3, 1e-4)),
     "light": Rate((2e-4, 2e-5), (1e-2, 1e-3)),
-    "expression": Rate((1e-3, 1e-3), (1e-5, 1e-5)),
-    "pose": Rate((1e-5, 1e-5), (3e-5, 3e-5)),
-    "translation": Rate((1e-6, 1e-6), (5e-6, 5e-6)),
+    "expression": Rate((1e-2, 1e-2), (1e-4, 1e-4)),
+    "pose": Rate((1e-4, 1e-4), (3e-4, 3e-4)),
+    "translation": Rate((1e-5, 1e-5), (5e-5, 5e-5)),
 }
 """By parameter group: GaussianAvatars' for geometry and tracking, HRAvatar's for materials, the paper's for
 network and light.
+
+GaussianAvatars' rates of tracking are for an Adam that moves all frames at every step, ten times as far as
+the rate says; rows rest here while their frame is not shown, and their rates are ten times as high.
 
 In short runs, rigid tracking moves faster, so that its noise is out of the way before the network learns, and
 expressions move slower, so that what repeats with an expression is left to the network instead of being tuned

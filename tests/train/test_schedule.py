@@ -59,7 +59,8 @@ def test_the_papers_rates_and_the_designs():
         1e-3,
         0.05,
     ]
-    assert [RATES[name].long[0] for name in ("expression", "pose", "translation")] == [1e-3, 1e-5, 1e-6]
+    # GaussianAvatars' 1e-3, 1e-5 and 1e-6, times ten: its Adam moves a frame's row at every step
+    assert [RATES[name].long[0] for name in ("expression", "pose", "translation")] == [1e-2, 1e-4, 1e-5]
 
 
 def test_a_run_of_one_step_has_a_rate():
