@@ -13,13 +13,16 @@ from typing import NamedTuple, cast
 
 import av
 import numpy as np
+import torch
 from av.sidedata.sidedata import SideData
 from av.video.reformatter import Colorspace
 
 from samira_warp.io.images import resize_box
+from samira_warp.light import decode_srgb, encode_srgb
+from samira_warp.light.primaries import NAMED, to_rec709
 from samira_warp.support.errors import UserError
 
-RGB, BT709, UNSPECIFIED, BT2020 = 0, 1, 2, 9
+UNSPECIFIED, BT2020 = 2, 9
 """Of the matrices and primaries that ITU-T H.273 numbers, those that are told apart here."""
 
 UNREADABLE_MATRICES = {
@@ -53,15 +56,12 @@ SAME_SHAPE = 0.02
 """Aspects that differ by less are one shape: codecs want even numbers of pixels, so small pictures round."""
 
 _CHROMATICITIES = {
-    BT709: ((0.64, 0.33), (0.30, 0.60), (0.15, 0.06)),
-    BT2020: ((0.708, 0.292), (0.170, 0.797), (0.131, 0.046)),
-    11: ((0.680, 0.320), (0.265, 0.690), (0.150, 0.060)),
-    12: ((0.680, 0.320), (0.265, 0.690), (0.150, 0.060)),
+    BT2020: NAMED["lin_rec2020_scene"],
+    11: NAMED["lin_p3d65_scene"],
+    12: NAMED["lin_p3d65_scene"],
 }
-"""Chromaticities x, y of red, green and blue by H.273's number, all with D65 but DCI-P3 (11), whose films
-for screens come with D65 as well. SD's primaries are as good as BT.709's."""
-
-_D65 = (0.3127, 0.3290)
+"""Wide primaries by H.273's number. White is D65, also of DCI-P3's (11), whose films for screens come with
+it; SD's primaries are as good as BT.709's."""
 
 
 class Turn(NamedTuple):
@@ -178,7 +178,7 @@ def _display_values(frame: av.VideoFrame, path: Path) -> np.ndarray:
         raise UserError(path, expected=expected, found=UNREADABLE_MATRICES[matrix])
     source = _matrix(frame, matrix)
     transfer, primaries = int(frame.color_trc or 0), int(frame.color_primaries or UNSPECIFIED)
-    if transfer not in (PQ, HLG) and primaries not in (BT2020, 11, 12):
+    if transfer not in (PQ, HLG) and primaries not in _CHROMATICITIES:
         return frame.to_ndarray(format="rgb24", src_colorspace=source)
     wide = primaries if primaries in _CHROMATICITIES else BT2020
     linear = _linear_light(transfer)[frame.to_ndarray(format="rgb48le", src_colorspace=source)]
@@ -211,16 +211,15 @@ def _linear_light(transfer: int) -> np.ndarray:
         power = signal ** (1.0 / m2)
         light = 10_000.0 / REFERENCE_WHITE * (np.maximum(power - c1, 0.0) / (c2 - c3 * power)) ** (1.0 / m1)
     else:
-        light = np.where(signal <= 0.04045, signal / 12.92, ((signal + 0.055) / 1.055) ** 2.4)
+        light = decode_srgb(torch.from_numpy(signal)).numpy()
     return light.astype(np.float32)
 
 
 @cache
 def _encoded() -> np.ndarray:
     """(65536,) uint8 sRGB display values of linear light from 0 to 1."""
-    light = np.arange(65536) / 65535.0
-    signal = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1.0 / 2.4) - 0.055)
-    return np.rint(255.0 * signal).astype(np.uint8)
+    light = torch.arange(65536, dtype=torch.float64) / 65535.0
+    return np.rint(255.0 * encode_srgb(light).numpy()).astype(np.uint8)
 
 
 def _shoulder(linear: np.ndarray) -> np.ndarray:
@@ -232,12 +231,6 @@ def _shoulder(linear: np.ndarray) -> np.ndarray:
 
 @cache
 def _to_bt709(primaries: int) -> np.ndarray:
-    """(3, 3) linear light of some primaries to that of BT.709's."""
-    return np.linalg.inv(_to_xyz(BT709)) @ _to_xyz(primaries)
-
-
-def _to_xyz(primaries: int) -> np.ndarray:
-    """(3, 3) linear red, green and blue to CIE XYZ, white being D65 of luminance 1."""
-    columns = np.array([[x / y, 1.0, (1.0 - x - y) / y] for x, y in _CHROMATICITIES[primaries]]).T
-    x, y = _D65
-    return columns * np.linalg.solve(columns, [x / y, 1.0, (1.0 - x - y) / y])
+    """(3, 3) linear light of wide primaries to that of BT.709's."""
+    matrix = to_rec709(_CHROMATICITIES[primaries])
+    return np.eye(3) if matrix is None else matrix
