@@ -9,6 +9,7 @@ import numpy as np
 
 from samira_subject.anatomy.assembly import Anatomy, mean_anatomy
 from samira_subject.anatomy.expressions import expressions
+from samira_subject.anatomy.face_mesh import face_mesh
 from samira_subject.anatomy.identity import IDENTITIES, identities
 from samira_subject.anatomy.masks import masks
 from samira_subject.anatomy.skinning import joint_regressor, skinning_weights
@@ -75,4 +76,5 @@ def build_template() -> HeadTemplate:
         expression_names=tuple(named),
         joint_names=FLAME_JOINTS,
         head_joint="neck",
+        landmarks=face_mesh(anatomy),
     )

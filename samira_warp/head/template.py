@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from samira_warp.head.joints import FLAME_JOINTS, ROOT, default_head_joint
+from samira_warp.head.landmarks import LandmarkEmbedding, checked_embedding
 from samira_warp.io.npz import read_npz
 from samira_warp.support.errors import UserError
 
@@ -39,6 +40,7 @@ class HeadTemplate:
         expression_names: E names.
         joint_names: J names, all different; FLAME's are `FLAME_JOINTS`.
         head_joint: Name of the joint that carries the head.
+        landmarks: Where the landmarks that detectors find lie on it, or None where nobody has placed them.
     """
 
     v_template: np.ndarray
@@ -55,6 +57,7 @@ class HeadTemplate:
     expression_names: tuple[str, ...]
     joint_names: tuple[str, ...]
     head_joint: str
+    landmarks: LandmarkEmbedding | None = None
 
     @property
     def n_expression(self) -> int:
@@ -68,7 +71,10 @@ class HeadTemplate:
 
     @cached_property
     def hash(self) -> str:
-        """SHA-256 of the content in hexadecimal: equal for equal heads, whatever the file was like."""
+        """SHA-256 of the content in hexadecimal: equal for equal heads, whatever the file was like.
+
+        Landmarks do not count: they find a head in pictures, and pose none.
+        """
         digest = hashlib.sha256()
         for key, value in sorted(_to_arrays(self).items()):
             value = np.ascontiguousarray(value)
@@ -82,8 +88,9 @@ def read_template(path: str | Path) -> HeadTemplate:
 
     The file holds v_template, shapedirs, n_shape, posedirs, J_regressor, kintree_table, weights, f, vt and ft
     as `HeadTemplate` describes them, and optionally expression_names, any number of mask_<region>,
-    joint_names and head_joint. Without joint_names the joints are FLAME's five; without head_joint the head
-    is carried by the joint "head", else "neck", else the root. Nothing in it is unpickled.
+    joint_names and head_joint, and landmark_ids, landmark_faces and landmark_barycentrics together. Without
+    joint_names the joints are FLAME's five; without head_joint the head is carried by the joint "head", else
+    "neck", else the root. Nothing in it is unpickled.
 
     Raises:
         UserError: The file is missing, is no npz, or a key is missing or has a wrong shape, an index out of
@@ -136,20 +143,25 @@ def template_of(path: Path, arrays: Mapping[str, np.ndarray]) -> HeadTemplate:
         expression_names=reader.names("expression_names", shapedirs.shape[2] - n_shape),
         joint_names=joint_names,
         head_joint=reader.head_joint(joint_names),
+        landmarks=reader.landmarks(len(faces)),
     )
 
 
 def save_template(template: HeadTemplate, path: str | Path) -> None:
     """Write a template in the layout that `read_template` reads, at exactly ``path``."""
     with Path(path).open("wb") as file:
-        arrays: dict[str, Any] = _to_arrays(template)
+        arrays: dict[str, Any] = _to_arrays(template) | _landmark_arrays(template.landmarks)
         np.savez_compressed(file, **arrays)
 
+
+_LANDMARK_KEYS = ("landmark_ids", "landmark_faces", "landmark_barycentrics")
+"""A file has all of them or none, in the order of `LandmarkEmbedding`'s fields."""
 
 _KEYS = frozenset(
     (
         *("v_template", "shapedirs", "n_shape", "posedirs", "J_regressor", "kintree_table", "weights"),
         *("f", "vt", "ft", "expression_names", "joint_names", "head_joint"),
+        *_LANDMARK_KEYS,
     )
 )
 """What is read of a file beside the masks."""
@@ -187,6 +199,13 @@ def _to_arrays(template: HeadTemplate) -> dict[str, np.ndarray]:
         **{f"{_MASK}{name}": ids for name, ids in template.masks.items()},
         **names,
     }
+
+
+def _landmark_arrays(landmarks: LandmarkEmbedding | None) -> dict[str, np.ndarray]:
+    """What the file has beside what the head is made of."""
+    if landmarks is None:
+        return {}
+    return dict(zip(_LANDMARK_KEYS, (landmarks.ids, landmarks.faces, landmarks.barycentrics), strict=True))
 
 
 def load_arrays(path: Path) -> dict[str, np.ndarray]:
@@ -280,6 +299,15 @@ class _Reader:
         name = str(self.take("head_joint", ()))
         self.expect("head_joint", name in joint_names, f"one of {', '.join(joint_names)}", repr(name))
         return name
+
+    def landmarks(self, faces: int) -> LandmarkEmbedding | None:
+        """The template's landmarks; a file has all their keys or none."""
+        present = [key for key in _LANDMARK_KEYS if key in self.arrays]
+        if not present:
+            return None
+        for key in _LANDMARK_KEYS:
+            self.expect(key, key in present, f"an array beside {present[0]}", "no such key")
+        return checked_embedding(self.path, {key: self.arrays[key] for key in _LANDMARK_KEYS}, faces)
 
     def text(self, key: str, count: int | None) -> tuple[str, ...]:
         array = self.take(key, (count,))
