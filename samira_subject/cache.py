@@ -7,11 +7,11 @@ import sys
 from functools import partial
 from pathlib import Path
 
-from samira_subject.alone import alone
 from samira_subject.cast import build_cast
 from samira_subject.make import make_subject
 from samira_subject.plan import VERSION, SubjectPlan
 from samira_warp.data.subjects import MadeSubject
+from samira_warp.io.alone import alone
 from samira_warp.io.files import cache_folder, read_json
 from samira_warp.support.errors import UserError, in_words
 

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-from samira_subject.alone import alone
 from samira_subject.cast import build_cast
 from samira_subject.make import DatasetLight, make_subject
 from samira_subject.performance import perform
@@ -20,6 +19,7 @@ from samira_subject.plan import SIZE, TEXELS, SubjectPlan
 from samira_subject.raycaster import Effort
 from samira_subject.sky import CAPTURE, SKIES
 from samira_subject.studio import Studio, developed
+from samira_warp.io.alone import alone
 from samira_warp.io.images import write_png
 from samira_warp.support.cli import run
 from samira_warp.support.errors import UserError

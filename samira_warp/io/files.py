@@ -19,7 +19,7 @@ from samira_warp.support.errors import UserError, reason
 
 
 def cache_folder() -> Path:
-    """Where this project keeps what it can make again.
+    """Where this project keeps what it can make or fetch again.
 
     It is ``SAMIRA_WARP_CACHE``, else its own folder among the user's caches. Nothing is made on disk.
 
@@ -32,9 +32,8 @@ def cache_folder() -> Path:
     try:
         return _users_caches() / "samira_warp"
     except RuntimeError as error:  # of Path.home()
-        raise UserError(
-            "SAMIRA_WARP_CACHE", expected="a folder to keep the built-in subject in", found="no home folder"
-        ) from error
+        expected = "a folder to keep what can be made or fetched again"
+        raise UserError("SAMIRA_WARP_CACHE", expected=expected, found="no home folder") from error
 
 
 def _users_caches() -> Path:

@@ -1,4 +1,4 @@
-"""One process at a time makes a dataset."""
+"""One process at a time makes a folder."""
 
 from __future__ import annotations
 
