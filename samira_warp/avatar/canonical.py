@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from samira_warp.head import FrameParameters, HeadTemplate, PosedHead, Rig, UvAtlas
-from samira_warp.kernels.mesh.triangle_frames import MeshTopology
+from samira_warp.kernels.mesh.topology import MeshTopology
 
 
 @dataclass(frozen=True, eq=False)

@@ -7,7 +7,8 @@ from torch import Tensor
 
 from samira_warp.head import UvAtlas
 from samira_warp.kernels.mesh.barycentric import closest_barycentrics
-from samira_warp.kernels.mesh.triangle_frames import MeshTopology, triangle_frames
+from samira_warp.kernels.mesh.topology import MeshTopology
+from samira_warp.kernels.mesh.triangle_frames import triangle_frames
 
 
 @torch.no_grad()

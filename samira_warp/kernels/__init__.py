@@ -7,9 +7,13 @@ Each operator is differentiable where its docstring says so and has a hand-writt
 from samira_warp.kernels.cubemap.filter import irradiance, prefilter
 from samira_warp.kernels.cubemap.lookup import sample_cubemap, sample_mips
 from samira_warp.kernels.gathering.gather import GatherTable, bilinear_table, gather
+from samira_warp.kernels.mesh.antialias import antialias
 from samira_warp.kernels.mesh.barycentric import closest_barycentrics
 from samira_warp.kernels.mesh.binding import BoundGaussians, FaceBinding, bind
-from samira_warp.kernels.mesh.triangle_frames import MeshTopology, TriangleFrames, triangle_frames
+from samira_warp.kernels.mesh.interpolate import interpolate
+from samira_warp.kernels.mesh.mesh_raster import MeshRaster, rasterize_mesh
+from samira_warp.kernels.mesh.topology import MeshTopology
+from samira_warp.kernels.mesh.triangle_frames import TriangleFrames, triangle_frames
 from samira_warp.kernels.mesh.uv_raster import UvRaster, rasterize_uv
 from samira_warp.kernels.raster.blending import Blended, blend
 from samira_warp.kernels.raster.projection import Projection, project
@@ -24,6 +28,7 @@ __all__ = [
     "BoundGaussians",
     "FaceBinding",
     "GatherTable",
+    "MeshRaster",
     "MeshTopology",
     "Projection",
     "Rasterized",
@@ -31,16 +36,19 @@ __all__ = [
     "TileBins",
     "TriangleFrames",
     "UvRaster",
+    "antialias",
     "bilinear_table",
     "bin_tiles",
     "bind",
     "blend",
     "closest_barycentrics",
     "gather",
+    "interpolate",
     "irradiance",
     "prefilter",
     "project",
     "rasterize",
+    "rasterize_mesh",
     "rasterize_uv",
     "sample_cubemap",
     "sample_mips",

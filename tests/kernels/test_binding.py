@@ -2,7 +2,8 @@ import pytest
 import torch
 
 from samira_warp.kernels.mesh.binding import BoundGaussians, FaceBinding, bind
-from samira_warp.kernels.mesh.triangle_frames import MeshTopology, TriangleFrames, triangle_frames
+from samira_warp.kernels.mesh.topology import MeshTopology
+from samira_warp.kernels.mesh.triangle_frames import TriangleFrames, triangle_frames
 from samira_warp.reference.mesh.binding import bind as reference
 from samira_warp.reference.mesh.binding import quaternion_product, rotation_to_quaternion
 from samira_warp.reference.mesh.triangle_frames import triangle_frames as reference_frames

@@ -58,10 +58,22 @@ def bind_inputs():
 
 INTO_FRAMES = {"means": 3, "quaternions": 4, "scales": 3, "normals": 3}
 
+
+def raster_inputs():
+    """Two frames of a tetrahedron."""
+    vertices, topology = mesh()
+    points = (9 * vertices + 2.0).expand(2, 4, 3).contiguous()
+    return points, kernels.rasterize_mesh(points, topology, width=WIDTH, height=HEIGHT), topology
+
+
 CUBEMAP = torch.ones(6, 4, 4, 3)
 DIRECTIONS = torch.ones(5, 3)
 
 CASES = {
+    "antialias": lambda: {
+        "image": torch.rand(2, HEIGHT, WIDTH, 3),
+        **dict(zip(("points", "raster", "topology"), raster_inputs(), strict=True)),
+    },
     "bilinear_table": lambda: {"uv": torch.rand(5, 2), "width": 4, "height": 4},
     "bin_tiles": lambda: {
         **dict(zip(("projection", "opacities"), projected(), strict=True)),
@@ -75,10 +87,19 @@ CASES = {
         "values": torch.ones(4, 2),
         "table": GatherTable.build(torch.tensor([[0, 1], [2, 3]]), torch.ones(2, 2), sources=4),
     },
+    "interpolate": lambda: {
+        "attributes": torch.rand(4, 3),
+        **dict(zip(("raster", "topology"), raster_inputs()[1:], strict=True)),
+    },
     "irradiance": lambda: {"radiance": CUBEMAP, "size": 4},
     "prefilter": lambda: {"base": CUBEMAP, "ladder": ((0.5, 4),)},
     "project": lambda: {**without(gaussians(), "features"), "camera": turned_camera("cpu", WIDTH, HEIGHT)},
     "rasterize": lambda: {**gaussians(), "camera": turned_camera("cpu", WIDTH, HEIGHT)},
+    "rasterize_mesh": lambda: {
+        **dict(zip(("points", "topology"), raster_inputs()[::2], strict=True)),
+        "width": WIDTH,
+        "height": HEIGHT,
+    },
     "rasterize_uv": lambda: {"vt": torch.rand(4, 2), "ft": torch.tensor([[0, 1, 2], [1, 2, 3]]), "size": 8},
     "sample_cubemap": lambda: {"cubemap": CUBEMAP, "directions": DIRECTIONS},
     "sample_mips": lambda: {"mips": (CUBEMAP, CUBEMAP), "directions": DIRECTIONS, "levels": torch.ones(5)},
@@ -110,12 +131,15 @@ CASES = {
 """Arguments that pass, by operator."""
 
 LEADING = {
+    "antialias": ("raster.face", "topology.faces"),
     "bilinear_table": ("uv",),
     "bin_tiles": ("projection.means2d",),
     "blend": ("means2d", "bins.records"),
     "closest_barycentrics": ("points",),
+    "interpolate": ("raster.face", "topology.faces"),
     "project": ("means",),
     "rasterize": ("means",),
+    "rasterize_mesh": ("points", "topology.faces"),
     "rasterize_uv": ("vt", "ft"),
     "sample_cubemap": ("directions",),
     "shade_gbuffer": ("surface.albedo",),

@@ -9,8 +9,12 @@ from torch.autograd import grad
 from samira_warp.kernels.cubemap.filter import irradiance
 from samira_warp.kernels.cubemap.lookup import sample_cubemap
 from samira_warp.kernels.gathering.gather import GatherTable, gather
+from samira_warp.kernels.mesh.antialias import antialias
 from samira_warp.kernels.mesh.binding import FaceBinding, bind
-from samira_warp.kernels.mesh.triangle_frames import MeshTopology, triangle_frames
+from samira_warp.kernels.mesh.interpolate import interpolate
+from samira_warp.kernels.mesh.mesh_raster import rasterize_mesh
+from samira_warp.kernels.mesh.topology import MeshTopology
+from samira_warp.kernels.mesh.triangle_frames import triangle_frames
 from samira_warp.kernels.raster.rasterizer import rasterize
 from samira_warp.light import FilteredLight, shade
 from samira_warp.surface import Surface
@@ -57,9 +61,19 @@ def gathered(device, values):
     return gather(values, table)
 
 
+def drawn(device, points, colors):
+    """Two triangles over a picture, and their outlines."""
+    topology = MeshTopology.build(torch.tensor([[0, 1, 2], [1, 2, 3]], device=device), 4)
+    points = torch.cat([20 * points[None, :, :2], 1 + points[None, :, 2:]], dim=-1)
+    raster = rasterize_mesh(points, topology, width=20, height=20)
+    return antialias(interpolate(colors, raster, topology), raster, points.detach(), topology)
+
+
 OPERATORS = {
+    "antialias": lambda device, x: drawn(device, x.detach(), torch.ones(4, 3, device=device) * x),
     "bind": bound,
     "gather": gathered,
+    "interpolate": lambda device, x: drawn(device, x, torch.ones(4, 3, device=device)),
     "irradiance": lambda device, x: irradiance(x[0, 0] * torch.ones(6, 4, 4, 3, device=device), size=2),
     "rasterize": rasterized,
     "sample_cubemap": lambda device, x: sample_cubemap(torch.ones(6, 2, 2, 3, device=device), x),

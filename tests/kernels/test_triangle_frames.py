@@ -1,7 +1,8 @@
 import pytest
 import torch
 
-from samira_warp.kernels.mesh.triangle_frames import MeshTopology, triangle_frames
+from samira_warp.kernels.mesh.topology import MeshTopology
+from samira_warp.kernels.mesh.triangle_frames import triangle_frames
 from samira_warp.reference.mesh.triangle_frames import triangle_frames as reference
 from samira_warp.support.errors import UserError
 

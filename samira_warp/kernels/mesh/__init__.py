@@ -1,1 +1,1 @@
-"""Triangle meshes: frames of faces, what is bound to them, and their UV layout."""
+"""Triangle meshes: what meets in them, frames of faces, what is bound to them, UV layouts, and pictures."""

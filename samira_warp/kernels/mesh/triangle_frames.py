@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import torch
@@ -10,13 +9,14 @@ import warp as wp
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from samira_warp.kernels.gathering.grouping import Groups, group_by
+from samira_warp.kernels.gathering.sums import sum_groups
+from samira_warp.kernels.mesh.topology import MeshTopology
 from samira_warp.kernels.runtime import launch_range
 from samira_warp.support.constants import DEGENERATE_TRIANGLE
-from samira_warp.support.validation import check_ids, check_tensor, check_tensors
+from samira_warp.support.validation import check_tensor
 
 GRAIN = 2048
-"""Triangles, or vertices, that are worth a thread."""
+"""Triangles that are worth a thread."""
 
 
 class TriangleFrames(NamedTuple):
@@ -31,48 +31,6 @@ class TriangleFrames(NamedTuple):
     rotation: Tensor
     translation: Tensor
     scale: Tensor
-
-
-@dataclass(frozen=True, eq=False)
-class MeshTopology:
-    """The triangles of a mesh, and the corners that meet in each vertex.
-
-    Attributes:
-        faces: (F, 3) int32 vertex ids.
-        vertex_count: V.
-        corners: For each vertex its corners, numbered 3 * face + corner.
-    """
-
-    faces: Tensor
-    vertex_count: int
-    corners: Groups
-
-    def __post_init__(self) -> None:
-        check_tensor("faces", self.faces, shape=("F", 3), dtype=torch.int32)
-        check_tensors(
-            ("corners.offsets", self.corners.offsets, (self.vertex_count + 1,), torch.int32),
-            ("corners.members", self.corners.members, (self.faces.numel(),), torch.int32),
-            device=self.faces.device,
-        )
-
-    @classmethod
-    def build(cls, faces: Tensor, vertex_count: int) -> MeshTopology:
-        """List the corners of every vertex.
-
-        Args:
-            faces: (F, 3) integers from 0 to ``vertex_count`` - 1.
-            vertex_count: V.
-
-        Raises:
-            UserError: ``faces`` has another shape, or an index is out of range.
-        """
-        check_ids("faces", faces, shape=("F", 3), count=vertex_count)
-        faces = faces.to(torch.int32).contiguous()
-        return cls(faces, vertex_count, group_by(faces.flatten(), vertex_count))
-
-    def to(self, device: torch.device | str) -> MeshTopology:
-        """The same topology on ``device``."""
-        return MeshTopology(self.faces.to(device), self.vertex_count, self.corners.to(device))
 
 
 def triangle_frames(vertices: Tensor, topology: MeshTopology) -> TriangleFrames:
@@ -124,11 +82,7 @@ class _TriangleFrames(torch.autograd.Function):
         launch_range(
             _triangle_frames_adjoint, count, vertices, topology.faces, *grad_frames, grad_corners, grain=GRAIN
         )
-        grad_vertices = torch.empty_like(vertices)
-        launch_range(
-            _sum_corners, topology.vertex_count, *topology.corners, grad_corners, grad_vertices, grain=GRAIN
-        )
-        return grad_vertices, None
+        return sum_groups(grad_corners[None], topology.corners)[0], None
 
 
 @wp.func
@@ -205,24 +159,8 @@ def _triangle_frames_adjoint(
         along = wp.dot(edge_direction, grad_direction)
         grad_edge = (grad_direction - edge_direction * along) / length + edge_direction * half_grad_scale
 
-    # to the corners, each shared by other triangles: `_sum_corners` adds them up in a fixed order
+    # to the corners, each shared by other triangles: `sum_groups` adds them up in a fixed order
     grad_centroid = grad_translation[face] / 3.0
     grad_corners[3 * face] = grad_centroid - grad_edge - grad_side
     grad_corners[3 * face + 1] = grad_centroid + grad_edge
     grad_corners[3 * face + 2] = grad_centroid + grad_side
-
-
-@wp.kernel(enable_backward=False)
-def _sum_corners(
-    first: wp.int32,
-    offsets: wp.array[wp.int32],
-    corners: wp.array[wp.int32],
-    grad_corners: wp.array[wp.vec3],
-    grad_vertices: wp.array[wp.vec3],
-) -> None:
-    """One vertex: the sum over the corners that meet in it."""
-    vertex = first + wp.tid()
-    total = wp.vec3(0.0)
-    for entry in range(offsets[vertex], offsets[vertex + 1]):
-        total += grad_corners[corners[entry]]
-    grad_vertices[vertex] = total

@@ -5,7 +5,8 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from samira_warp.kernels.mesh.triangle_frames import MeshTopology, TriangleFrames
+from samira_warp.kernels.mesh.topology import MeshTopology
+from samira_warp.kernels.mesh.triangle_frames import TriangleFrames
 from samira_warp.support.constants import DEGENERATE_TRIANGLE
 
 
