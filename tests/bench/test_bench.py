@@ -5,7 +5,7 @@ from dataclasses import fields
 import pytest
 import torch
 
-from samira_warp.bench import avatar, gsplat_peer, raster, timing
+from samira_warp.bench import avatar, gsplat_peer, mesh, raster, timing
 from samira_warp.bench.disc import make_disc
 from samira_warp.bench.memory import peak_bytes
 from samira_warp.bench.subject import make_avatar, make_camera, make_parameters
@@ -90,6 +90,24 @@ def test_the_plain_kernels_stop_when_their_time_is_up_and_say_so(monkeypatch, ca
     rows = list(raster.run(torch.device("cpu"), TINY))
     assert [row.plain_forward_ms is None for row in rows] == [False, False, True, True]
     assert capsys.readouterr().err.startswith("plain kernels left out")
+
+
+def test_mesh_rows_are_of_heads_in_the_picture(monkeypatch, capsys):
+    monkeypatch.setitem(mesh.SWEEPS, "cpu", mesh.Sweep((24,), (1, 2)))
+    monkeypatch.setattr(mesh, "FRAMES", 2)
+    before = torch.get_num_threads()
+    mesh.main("cpu", True)
+    assert torch.get_num_threads() == before
+    rows = json.loads(capsys.readouterr().out)
+    assert [row["threads"] for row in rows] == [1, 2]
+    for row in rows:
+        assert set(row) == {field.name for field in fields(mesh.Row)}
+        assert all(value > 0 for name, value in row.items() if name.endswith("_ms"))
+        assert 0.2 < row["covered"] < 0.8
+        stages = row["rasterize_ms"] + row["interpolate_ms"] + row["antialias_ms"]
+        assert row["forward_ms"] == pytest.approx(stages)
+    mesh.main("cpu", False)
+    assert len(capsys.readouterr().out.splitlines()) == 1 + 1 + 2
 
 
 @torch.no_grad()

@@ -215,10 +215,12 @@ def test_same_bits_for_any_threads_and_runs(device, generator, use_threads, fram
 def test_triangles_at_once_are_bands_one_by_one(generator):
     """The kernel of a GPU, in the CPU's order and with its minima."""
     points, topology = two_spheres(generator, "cpu")
-    boxes = rasterize_mesh(points, topology, **SIZE).boxes
-    bands = mesh_raster._draw_all(points, topology.faces, boxes, *SIZE.values())
+    faces = topology.faces
+    boxes = torch.empty(2, len(faces), 4, dtype=torch.int32)
+    launch(mesh_raster._bound, boxes.shape[0] * boxes.shape[1], 0, points, faces, *SIZE.values(), boxes)
+    bands = mesh_raster._draw_all(points, faces, boxes, *SIZE.values())
     at_once = torch.full_like(bands, mesh_raster.NOTHING.value)
-    drawn = (points, topology.faces, boxes, *SIZE.values(), at_once)
+    drawn = (points, faces, boxes, *SIZE.values(), at_once)
     launch(mesh_raster._draw_triangle, boxes.shape[0] * boxes.shape[1], 0, *drawn)
     assert torch.equal(bands, at_once)
 

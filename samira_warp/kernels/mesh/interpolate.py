@@ -80,14 +80,14 @@ class _Interpolate(torch.autograd.Function):
             faces = topology.faces.shape[0]
             grad_corners = grad_image.new_empty(frames, 3 * faces, grad_image.shape[1])
             seen = (boxes.contiguous(), width, height, face, barycentrics, grad_image)
-            launch_range(_gather_corners, frames * faces, *seen, grad_corners, grain=GRAIN)
+            launch_range(_gather_attributes, frames * faces, *seen, grad_corners, grain=GRAIN)
             together = frames if ctx.shared else 1
             grad_attributes = sum_groups(grad_corners, topology.corners, together=together)
             grad_attributes = grad_attributes[0] if ctx.shared else grad_attributes
         if ctx.needs_input_grad[1]:
             grad_barycentrics = torch.empty_like(barycentrics)
             seen = (by_frame, topology.faces, height * width, face, grad_image)
-            launch_range(_gather_pixel, len(face), *seen, grad_barycentrics, grain=GRAIN)
+            launch_range(_gather_weights, len(face), *seen, grad_barycentrics, grain=GRAIN)
             grad_barycentrics = grad_barycentrics.view(*ctx.shape, 3)
         return grad_attributes, grad_barycentrics, None, None
 
@@ -127,7 +127,7 @@ def _interpolate(
 
 
 @wp.kernel(enable_backward=False)
-def _gather_pixel(
+def _gather_weights(
     first: wp.int32,
     attributes: wp.array3d[wp.float32],
     faces: wp.array2d[wp.int32],
@@ -151,7 +151,7 @@ def _gather_pixel(
 
 
 @wp.kernel(enable_backward=False)
-def _gather_corners(
+def _gather_attributes(
     first: wp.int32,
     boxes: wp.array2d[wp.vec4i],
     width: wp.int32,

@@ -33,8 +33,8 @@ class MeshRaster(NamedTuple):
         face: (B, H, W) int32 face id, -1 where no triangle covers the pixel's centre.
         barycentrics: (B, H, W, 3) float32 weights of the triangle's corners, in space and not on the screen;
             0 where there is none.
-        boxes: (B, F, 4) int32 left, top, right, bottom (the last two exclusive): the pixels that a triangle
-            may be seen in, none where it is not drawn.
+        boxes: (B, F, 4) int32 left, top, right, bottom (the last two exclusive): the pixels among which a
+            triangle is seen, none where it is not.
     """
 
     face: Tensor
@@ -81,8 +81,11 @@ class _RasterizeMesh(torch.autograd.Function):
         nearest = _draw_all(points, faces, boxes, width, height)
         face = torch.empty(frames, height, width, dtype=torch.int32, device=points.device)
         barycentrics = points.new_empty(frames, height, width, 3)
-        shown = (nearest, face.view(-1), barycentrics.view(-1, 3))
+        is_seen = torch.zeros(frames, face_count, dtype=torch.bool, device=points.device)
+        shown = (nearest, face.view(-1), barycentrics.view(-1, 3), is_seen)
         launch_range(_resolve, face.numel(), points, faces, width, height, *shown, grain=GRAIN)
+        # adjoints look through the boxes: most triangles lie behind others
+        launch_range(_empty_hidden, frames * face_count, is_seen, boxes, grain=GRAIN)
         ctx.save_for_backward(points, face, boxes)
         ctx.topology = topology
         ctx.mark_non_differentiable(face, boxes)
@@ -271,6 +274,7 @@ def _resolve(
     nearest: wp.array[wp.int64],
     face: wp.array[wp.int32],
     barycentrics: wp.array[wp.vec3],
+    is_seen: wp.array2d[wp.bool],
 ) -> None:
     """One pixel: the triangle in its key, and the centre's place in it."""
     index = first + wp.tid()
@@ -288,8 +292,20 @@ def _resolve(
     b = points[frame, corners[1]]
     c = points[frame, corners[2]]
     weights = wp.cw_div(screen_weights(corners, a, b, c, p), wp.vec3(a[2], b[2], c[2]))
+    # whichever pixel comes first, they write the same
+    is_seen[frame, shown] = True
     face[index] = shown
     barycentrics[index] = weights / (weights[0] + weights[1] + weights[2])
+
+
+@wp.kernel(enable_backward=False)
+def _empty_hidden(first: wp.int32, is_seen: wp.array2d[wp.bool], boxes: wp.array2d[wp.vec4i]) -> None:
+    """One triangle of one frame: no pixels, where none shows it."""
+    index = first + wp.tid()
+    frame = index // boxes.shape[1]
+    face = index - frame * boxes.shape[1]
+    if not is_seen[frame, face]:
+        boxes[frame, face] = wp.vec4i(0)
 
 
 @wp.kernel(enable_backward=False)
