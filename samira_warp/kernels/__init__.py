@@ -11,6 +11,7 @@ from samira_warp.kernels.mesh.antialias import antialias
 from samira_warp.kernels.mesh.barycentric import closest_barycentrics
 from samira_warp.kernels.mesh.binding import BoundGaussians, FaceBinding, bind
 from samira_warp.kernels.mesh.interpolate import interpolate
+from samira_warp.kernels.mesh.mesh_normals import mesh_normals
 from samira_warp.kernels.mesh.mesh_raster import MeshRaster, rasterize_mesh
 from samira_warp.kernels.mesh.topology import MeshTopology
 from samira_warp.kernels.mesh.triangle_frames import TriangleFrames, triangle_frames
@@ -45,6 +46,7 @@ __all__ = [
     "gather",
     "interpolate",
     "irradiance",
+    "mesh_normals",
     "prefilter",
     "project",
     "rasterize",

@@ -12,6 +12,7 @@ from samira_warp.kernels.gathering.gather import GatherTable, gather
 from samira_warp.kernels.mesh.antialias import antialias
 from samira_warp.kernels.mesh.binding import FaceBinding, bind
 from samira_warp.kernels.mesh.interpolate import interpolate
+from samira_warp.kernels.mesh.mesh_normals import mesh_normals
 from samira_warp.kernels.mesh.mesh_raster import rasterize_mesh
 from samira_warp.kernels.mesh.topology import MeshTopology
 from samira_warp.kernels.mesh.triangle_frames import triangle_frames
@@ -75,6 +76,9 @@ OPERATORS = {
     "gather": gathered,
     "interpolate": lambda device, x: drawn(device, x, torch.ones(4, 3, device=device)),
     "irradiance": lambda device, x: irradiance(x[0, 0] * torch.ones(6, 4, 4, 3, device=device), size=2),
+    "mesh_normals": lambda device, x: mesh_normals(
+        x[None], MeshTopology.build(torch.tensor([[0, 1, 2], [1, 2, 3]], device=device), 4)
+    ),
     "rasterize": rasterized,
     "sample_cubemap": lambda device, x: sample_cubemap(torch.ones(6, 2, 2, 3, device=device), x),
     "shade": shaded,
