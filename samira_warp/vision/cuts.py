@@ -10,7 +10,7 @@ from PIL import Image
 LEVELS = 4
 """Of each colour in a histogram: 64 cells."""
 
-SAMPLE = 64
+SAMPLE = 32
 """Pixels of either side that a picture is shrunk to before its colours are counted."""
 
 COLOUR_JUMP = 0.25

@@ -70,3 +70,46 @@ def roll_of(landmarks: np.ndarray) -> float:
     """Radians from the picture's x axis to the eye line, towards y."""
     across = landmarks[LEFT_EYE_OUTER, :2] - landmarks[RIGHT_EYE_OUTER, :2]
     return float(np.arctan2(across[1], across[0]))
+
+
+def yaw_of(landmarks: np.ndarray) -> float:
+    """Radians that a head is turned from the camera, towards the picture's right where positive."""
+    turn = align(landmarks).turn
+    return float(np.arctan2(-turn[0, 2], turn[2, 2]))
+
+
+def facing(landmarks: np.ndarray) -> np.ndarray:
+    """(468,) float64 cosines between the camera's direction and the normals of the mean shape, laid on a
+    face.
+
+    Negative where a point is on the side that is turned away.
+
+    Args:
+        landmarks: (468, 3) pixels.
+    """
+    return -_normals() @ align(landmarks).turn[2]
+
+
+def confidence(landmarks: np.ndarray) -> np.ndarray:
+    """(468,) float64 0..1 by how much landmarks are to be believed, as the inverse of their deviation.
+
+    Against the surfaces of two rendered heads the network's points are off by 1.3 units where their surface
+    faces the camera by a cosine of 0.5 and more, by 1.6 at 0.2, 2.2 at 0, and by 3.3 below -0.2, where they
+    slide along the silhouette, together and by the same amount in picture after picture: no average helps.
+    Hence faster than the inverse of these, from 1 at 0.5 to nothing at -0.3.
+
+    Args:
+        landmarks: (468, 3) pixels.
+    """
+    return np.clip((facing(landmarks) + 0.3) / 0.8, 0.0, 1.0)
+
+
+@cache
+def _normals() -> np.ndarray:
+    """(468, 3) float64 unit normals of the mean shape, outwards, by the planes through nine points each."""
+    points = face_shape().points
+    apart = np.linalg.norm(points[:, None] - points[None], axis=2)
+    nearby = points[np.argsort(apart, axis=1)[:, :9]]
+    _, _, axes = np.linalg.svd(nearby - nearby.mean(axis=1, keepdims=True))
+    outwards = points - np.array([0.0, 0.0, points[:, 2].max()])
+    return axes[:, 2] * np.sign((axes[:, 2] * outwards).sum(axis=1))[:, None]

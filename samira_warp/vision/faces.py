@@ -11,7 +11,7 @@ from samira_warp.vision.crops import Square
 from samira_warp.vision.cuts import colour_histogram
 from samira_warp.vision.detector import Detection, detect_faces
 from samira_warp.vision.face_shape import roll_of
-from samira_warp.vision.iris import read_eye
+from samira_warp.vision.iris import LIDS, read_eye
 from samira_warp.vision.mesh import POINTS, SettledReading, settle, square_about
 from samira_warp.vision.networks import FaceNetworks
 
@@ -51,10 +51,11 @@ class FaceTrack:
         landmarks: (N, 468, 3) float32 x, y in pixels of the picture, (0, 0) its upper left corner; z in the
             same unit, smaller nearer the camera, 0 about the middle of the head.
         irises: (N, 2, 5, 2) float32 pixels: the subject's left eye (at larger x in a picture that is no
-            mirror image), then the right one; the centre, then four points of the rim.
-        outlines: (N, 2, 71, 2) float32 pixels, of the same eyes: from the inner corner (0) by the lower lid
-            (1 to 7) to the outer one (8) and back by the upper lid (9 to 15, from the inner corner on); the
-            rest lies about the eye and on the brow.
+            mirror image), then the right one; the centre; the rim's outer, upper,
+            inner and lower point.
+        lids: (N, 2, 16, 2) float32 pixels, of the same eyes: the inner corner (0), the lower lid (1 to 7),
+            the outer corner (8), the upper lid (9 to 15), both lids from the inner corner on. Of lids these
+            are the ones to believe: the mesh's stay open over closed eyes (`samira_warp.vision.openness`).
         presence: (N,) float32 0..1, as the network says; not by itself a reason to believe it.
         seen: (N,) bool.
         reasons: By picture why the face is not seen, else "".
@@ -66,7 +67,7 @@ class FaceTrack:
 
     landmarks: np.ndarray
     irises: np.ndarray
-    outlines: np.ndarray
+    lids: np.ndarray
     presence: np.ndarray
     seen: np.ndarray
     reasons: tuple[str, ...]
@@ -98,14 +99,14 @@ def follow_faces(pictures: Iterable[np.ndarray], networks: FaceNetworks) -> Face
 
 @dataclass(frozen=True)
 class _Frame:
-    """What one picture shows: a reading with its irises and outlines, or a reason."""
+    """What one picture shows: a reading with its irises and lids, or a reason."""
 
     colours: np.ndarray
     reason: str = ""
     person: int = -1
     reading: SettledReading | None = None
     irises: np.ndarray | None = None
-    outlines: np.ndarray | None = None
+    lids: np.ndarray | None = None
 
 
 @dataclass
@@ -139,7 +140,7 @@ class _Follower:
             person=self.person,
             reading=reading,
             irises=np.stack([eye.iris for eye in eyes]),
-            outlines=np.stack([eye.outline for eye in eyes]),
+            lids=np.stack([eye.lids for eye in eyes]),
         )
 
     def notes(self) -> tuple[str, ...]:
@@ -217,16 +218,16 @@ def _track(frames: list[_Frame], notes: tuple[str, ...]) -> FaceTrack:
     count = len(frames)
     landmarks = np.full((count, POINTS, 3), np.nan, np.float32)
     irises = np.full((count, 2, 5, 2), np.nan, np.float32)
-    outlines = np.full((count, 2, 71, 2), np.nan, np.float32)
+    lids = np.full((count, 2, LIDS, 2), np.nan, np.float32)
     presence = np.zeros(count, np.float32)
     for number, frame in enumerate(frames):
         if frame.reading is not None:
             landmarks[number], presence[number] = frame.reading.landmarks, frame.reading.presence
-            irises[number], outlines[number] = frame.irises, frame.outlines
+            irises[number], lids[number] = frame.irises, frame.lids
     return FaceTrack(
         landmarks,
         irises,
-        outlines,
+        lids,
         presence,
         seen=np.array([frame.reading is not None for frame in frames], bool),
         reasons=tuple(frame.reason for frame in frames),
