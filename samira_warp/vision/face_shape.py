@@ -79,10 +79,10 @@ def yaw_of(landmarks: np.ndarray) -> float:
 
 
 def facing(landmarks: np.ndarray) -> np.ndarray:
-    """(468,) float64 cosines between the camera's direction and the normals of the mean shape, laid on a
-    face.
+    """(468,) float64 cosines between the directions to the camera and of a face's normals.
 
-    Negative where a point is on the side that is turned away.
+    The normals are the mean shape's, turned as the face is. Negative where a point is on the side that is
+    turned away.
 
     Args:
         landmarks: (468, 3) pixels.

@@ -18,8 +18,8 @@ CROP = 2.3
 
 
 LIDS = 16
-"""Points of the outline that lie on the lids: 0 the inner corner, 1 to 7 the lower lid, 8 the outer corner, 9 to
-15 the upper lid, both lids from the inner corner on."""
+"""Points of the outline that lie on the lids: 0 the inner corner, 1 to 7 the lower lid, 8 the outer corner, 9
+to 15 the upper lid, both lids from the inner corner on."""
 
 _IRIS_MIRROR = [0, 3, 2, 1, 4]
 _LIDS_MIRROR = [8, 7, 6, 5, 4, 3, 2, 1, 0, 15, 14, 13, 12, 11, 10, 9]
@@ -39,8 +39,7 @@ class EyeReading(NamedTuple):
 
 
 def read_eye(network: Network, picture: np.ndarray, landmarks: np.ndarray, *, left: bool) -> EyeReading:
-    """Read an eye twice and take the mean: where the mesh has it, and there where that reading has it,
-    mirrored.
+    """Read an eye where the mesh has it, and mirrored where that reading has it; the mean is taken.
 
     The network was made for left eyes: a right one is shown to it in a mirror, and the second time the other
     way round. The mesh has a closed eye too high: in a film of glasses the lids of one reading stay apart by

