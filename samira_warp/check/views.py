@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -11,12 +11,15 @@ from PIL import Image, ImageDraw
 
 from samira_warp.data import Frame, TrackedSequence
 from samira_warp.data.pixels import load_mask
-from samira_warp.head import Rig
+from samira_warp.head import FrameParameters, Rig
 from samira_warp.support.constants import NEAR_PLANE
 from samira_warp.support.errors import UserError
 
 SAMPLES = 12
 """Frames that are looked at."""
+
+_AT_ONCE = 32
+"""Heads that are posed together."""
 
 _GRID = 128
 """Pixels of the longer side of silhouettes: enough to tell a head from what it is not."""
@@ -29,13 +32,18 @@ class View(NamedTuple):
         frame: The frame.
         points: (V, 3) float64 vertices in camera space, metres, OpenCV axes.
         pixels: (V, 2) float64 where they are in the picture; meaningless for points behind the camera.
-        up: (3,) float64 the head's +y in camera space.
+        rotation: (3, 3) float64 from the head to camera space.
     """
 
     frame: Frame
     points: np.ndarray
     pixels: np.ndarray
-    up: np.ndarray
+    rotation: np.ndarray
+
+    @property
+    def up(self) -> np.ndarray:
+        """(3,) float64 the head's +y in camera space."""
+        return self.rotation[:, 1]
 
 
 def sampled_views(sequence: TrackedSequence, indices: Sequence[int]) -> list[View]:
@@ -43,8 +51,18 @@ def sampled_views(sequence: TrackedSequence, indices: Sequence[int]) -> list[Vie
     if not indices:
         return []
     chosen = np.unique(np.linspace(0, len(indices) - 1, min(SAMPLES, len(indices))).round().astype(int))
+    return list(views_of(sequence, [indices[place] for place in chosen]))
+
+
+@torch.no_grad()
+def views_of(sequence: TrackedSequence, indices: Sequence[int]) -> Iterator[View]:
+    """Views of the frames with ``indices``, one by one."""
     rig = Rig.build(sequence.template)
-    return [_view(rig, sequence, sequence.frames[indices[place]]) for place in chosen]
+    for begin in range(0, len(indices), _AT_ONCE):
+        frames = [sequence.frames[index] for index in indices[begin : begin + _AT_ONCE]]
+        parameters = FrameParameters.stack([frame.parameters for frame in frames])
+        heads = rig.pose(parameters, sequence.shape, sequence.static_offset)
+        yield from map(_view, frames, heads.vertices.double().numpy(), heads.head_transform.double().numpy())
 
 
 def project(points: np.ndarray, frame: Frame) -> np.ndarray:
@@ -83,10 +101,7 @@ def coverage(view: View) -> np.ndarray | None:
     return None if mask is None else mask.numpy()
 
 
-@torch.no_grad()
-def _view(rig: Rig, sequence: TrackedSequence, frame: Frame) -> View:
-    head = rig.pose(frame.parameters, sequence.shape, sequence.static_offset)
+def _view(frame: Frame, vertices: np.ndarray, head_transform: np.ndarray) -> View:
     pose = frame.camera.world_to_camera.double().numpy()
-    points = head.vertices.double().numpy() @ pose[:3, :3].T + pose[:3, 3]
-    up = pose[:3, :3] @ head.head_transform[:3, 1].double().numpy()
-    return View(frame, points, project(points, frame), up)
+    points = vertices @ pose[:3, :3].T + pose[:3, 3]
+    return View(frame, points, project(points, frame), pose[:3, :3] @ head_transform[:3, :3])

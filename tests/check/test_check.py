@@ -3,6 +3,7 @@
 import io
 import json
 import os
+import re
 import shlex
 import shutil
 import subprocess
@@ -67,6 +68,8 @@ def test_what_a_dataset_holds(tiny_dataset, capsys):
     vertices = said.pop("template")
     assert vertices.startswith(f"{tiny_dataset / 'template.npz'}: 328 vertices, ")
     assert vertices.endswith("2 identity and 4 expression coefficients")
+    overlap = said.pop("overlap")
+    assert re.match(r"good: (100\.0|99\.\d) % of the head's silhouette lies in the matte", overlap)
     assert said == {
         "folder": str(tiny_dataset),
         "format": "VHAP export",
@@ -81,6 +84,7 @@ def test_what_a_dataset_holds(tiny_dataset, capsys):
         "distance": "0.96 to 0.98 metres from the camera",
         "masks": "6 of 6 frames",
         "albedo": "4 of 6 frames",
+        "tracking": "good, the worst of overlap",
         "note": "train enlarges pictures of 32 x 32 to 256 (preset cpu) or 512 (preset paper), which adds no "
         "detail: --resolution 32 trains at their own size",
         "verdict": f"it can be trained on: python -m samira_warp.train --data {tiny_dataset}",
