@@ -13,6 +13,7 @@ from samira_warp.data import TrackedSequence
 from samira_warp.data.landmarks import DetectedLandmarks
 from samira_warp.data.pixels import read_picture
 from samira_warp.io.images import resize_box
+from samira_warp.stage.dots import draw_dots
 from samira_warp.stage.fitting import centred
 from samira_warp.stage.sheet import contact_sheet
 from samira_warp.support.errors import UserError
@@ -118,22 +119,9 @@ def _picture(view: View, faces: np.ndarray, marks: Marks | None) -> np.ndarray:
         picture[border] = _MASK_EDGE
     if marks is not None:
         scale = np.array([width / view.frame.camera.width, height / view.frame.camera.height])
-        for color, points in ((_DETECTED, marks.detected), (_FITTED, marks.fitted)):
-            dots = _dots(points * scale, color, width=width, height=height)
-            picture = picture * (1.0 - dots[..., 3:]) + dots[..., :3]
+        picture = draw_dots(picture, marks.detected * scale, _DETECTED, radius=_DOT)
+        picture = draw_dots(picture, marks.fitted * scale, _FITTED, radius=_DOT)
     return picture
-
-
-def _dots(points: np.ndarray, color: tuple[int, int, int], *, width: int, height: int) -> np.ndarray:
-    """(height, width, 4) float32 premultiplied display values and coverage of dots at (L, 2) pixels."""
-    layer = Image.new("RGBA", (_FINE * width, _FINE * height))
-    draw = ImageDraw.Draw(layer)
-    for x, y in points[np.isfinite(points).all(axis=1)].tolist():
-        box = (x - _DOT, y - _DOT, x + _DOT, y + _DOT)
-        draw.ellipse([_FINE * edge for edge in box], fill=(*color, 255))
-    values = np.asarray(layer, np.float32) / 255.0
-    values[..., :3] *= values[..., 3:]
-    return resize_box(values, width=width, height=height)
 
 
 def _border(covered: np.ndarray) -> np.ndarray:
