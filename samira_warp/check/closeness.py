@@ -71,7 +71,8 @@ def grade_overlap(views: Iterable[View], faces: np.ndarray, v_template: np.ndarr
         faces: (F, 3) vertex ids.
         v_template: (V, 3) the head at rest, which tells where the neck ends.
     """
-    inside, overlaps = {}, []
+    inside: dict[str, float] = {}
+    overlaps = []
     lowest = v_template[:, 1] <= np.quantile(v_template[:, 1], 0.03)
     for view in views:
         matte = coverage(view)
@@ -88,7 +89,7 @@ def grade_overlap(views: Iterable[View], faces: np.ndarray, v_template: np.ndarr
         head, covered = head[:neck], covered[:neck]
         shared, size = np.count_nonzero(head & covered), np.count_nonzero(head)
         if size:
-            inside[view.frame.name] = shared / size
+            inside[view.frame.name] = float(shared / size)
             overlaps.append(shared / np.count_nonzero(head | covered))
     if not inside:
         return None

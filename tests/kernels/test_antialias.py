@@ -6,7 +6,7 @@ from kernels.meshes import rectangle, scene, seen, sphere, two_spheres
 
 from samira_subject.head import build_template
 from samira_warp.kernels import MeshTopology, antialias, interpolate, rasterize_mesh
-from samira_warp.kernels.mesh import antialias as module
+from samira_warp.kernels.mesh import outlines
 from samira_warp.kernels.mesh.mesh_raster import NOTHING
 from samira_warp.kernels.runtime import launch
 from samira_warp.reference.mesh.antialias import antialias as reference
@@ -246,14 +246,14 @@ def test_edges_at_once_are_frames_one_by_one(generator):
     """The kernel of a GPU, in the CPU's order and with its minima."""
     points, topology = two_spheres(generator, "cpu")
     raster = rasterize_mesh(points, topology, **SIZE)
-    outlines = module._find_outlines(points, raster.face, raster.barycentrics, topology)
-    at_once = torch.full_like(outlines.outermost, NOTHING.value), torch.zeros_like(outlines.crosses)
+    found = outlines.find_outlines(points, raster.face, raster.barycentrics, topology)
+    at_once = torch.full_like(found.outermost, NOTHING.value), torch.zeros_like(found.crosses)
     ends, opposites, _ = topology.edges
     seen_by = (*SIZE.values(), raster.face.view(-1), raster.barycentrics.view(-1, 3))
     walked = (points, topology.faces, ends, opposites, *seen_by, *at_once)
-    launch(module._walk_edge, 2 * len(ends), 0, *walked)
-    assert outlines.crosses.any()
-    assert all(torch.equal(one, other) for one, other in zip(outlines, at_once, strict=True))
+    launch(outlines._walk_edge, 2 * len(ends), 0, *walked)
+    assert found.crosses.any()
+    assert all(torch.equal(one, other) for one, other in zip(found, at_once, strict=True))
 
 
 @pytest.mark.parametrize(("frames", "faces"), [(0, 2), (2, 0), (0, 0)])

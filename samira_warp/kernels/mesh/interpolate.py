@@ -86,8 +86,8 @@ class _Interpolate(torch.autograd.Function):
             grad_attributes = grad_attributes[0] if ctx.shared else grad_attributes
         if ctx.needs_input_grad[1]:
             grad_barycentrics = torch.empty_like(barycentrics)
-            seen = (by_frame, topology.faces, height * width, face, grad_image)
-            launch_range(_gather_weights, len(face), *seen, grad_barycentrics, grain=GRAIN)
+            shown = (by_frame, topology.faces, height * width, face, grad_image)
+            launch_range(_gather_weights, len(face), *shown, grad_barycentrics, grain=GRAIN)
             grad_barycentrics = grad_barycentrics.view(*ctx.shape, 3)
         return grad_attributes, grad_barycentrics, None, None
 

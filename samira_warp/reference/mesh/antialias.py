@@ -50,7 +50,7 @@ def _depths(face: Tensor, barycentrics: Tensor, points: Tensor, topology: MeshTo
 
 def _shifts(points: Tensor, face: Tensor, depth: Tensor, topology: MeshTopology, steep: bool) -> Tensor:
     """(H, W - 1) positions of the outlines between neighbours in a row, from the middle; 0 without one."""
-    ends, opposites, _ = (part for part in topology.edges)
+    ends, opposites, _ = topology.edges
     a, b = points[ends.long()].unbind(dim=1)
     rise, run = (b - a)[:, 1], (b - a)[:, 0]
     mine = (rise.abs() >= run.abs()) if steep else (rise.abs() > run.abs())
