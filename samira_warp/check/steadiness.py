@@ -17,6 +17,10 @@ SWING = 0.2
 """What a point that swings as fast as heads shake, four times a second in 25 frames, seems to jitter by, in
 its motion from frame to frame: that much is no jitter."""
 
+FASTEST = 0.1
+"""Motion from frame to frame, in the head's height, above which frames are no film: half a metre a second in
+25 frames, and more most of the time."""
+
 LEAST_WINDOWS = 6
 """Places at which jitter is measured before anything is said of it."""
 
@@ -25,7 +29,7 @@ THIRD_DIFFERENCE = 20.0
 
 
 def grade_steadiness(motion: HeadMotion) -> Grade | None:
-    """How much the head jitters; None where too few frames follow one another to tell.
+    """How much the head jitters; None where too few frames follow one another closely enough to tell.
 
     A point that moves smoothly is seen at places whose third difference is next to nothing; one that is off
     by chance in every frame, by a standard deviation s, has third differences of sqrt(20) s. Differences of
@@ -41,10 +45,11 @@ def grade_steadiness(motion: HeadMotion) -> Grade | None:
                 of_frames.setdefault(motion.names[frame], []).append(value)
     # one bad frame is in all of its windows, and the frames beside it are in others as well
     frames = {name: min(values) for name, values in of_frames.items()}
-    pixels, share, degrees, move = (
-        float(np.median(np.concatenate(values)))
-        for values in zip(*((one.jitter, one.share, one.degrees, one.motion) for one in windows), strict=True)
+    pixels, share, degrees, move, pace = (
+        float(np.median(np.concatenate(values))) for values in list(zip(*windows, strict=True))[1:]
     )
+    if pace > FASTEST:
+        return None
     word = word_of(share, good=JITTER_GOOD, fair=JITTER_FAIR)
     said = f"steady to {pixels:.2f} pixels" if word == "good" else f"it jitters by {pixels:.1f} pixels"
     moves = f"where it moves by {move:.1f} pixels a frame"
@@ -72,6 +77,7 @@ class _Windows(NamedTuple):
         share: (W,) the same in the head's height.
         degrees: (W,) jitter of the head's turn.
         motion: (W,) pixels from frame to frame.
+        pace: (W,) the same in the head's height.
     """
 
     run: np.ndarray
@@ -79,6 +85,7 @@ class _Windows(NamedTuple):
     share: np.ndarray
     degrees: np.ndarray
     motion: np.ndarray
+    pace: np.ndarray
 
     @classmethod
     def of(cls, motion: HeadMotion, run: np.ndarray) -> _Windows:
@@ -87,8 +94,8 @@ class _Windows(NamedTuple):
         jitter, moved = _beyond_swing(points)
         # a turn by a small angle moves the nine entries of a rotation by sqrt(2) times that, all together
         turn = _beyond_swing(motion.rotations[run].reshape(len(run), 9))[0] * np.sqrt(9.0 / 2.0)
-        # of a point, in two axes
-        return cls(run, jitter, jitter / motion.heights[run][1:-2], np.rad2deg(turn), np.sqrt(2.0) * moved)
+        heights, moved = motion.heights[run][1:-2], np.sqrt(2.0) * moved  # of a point, in two axes
+        return cls(run, jitter, jitter / heights, np.rad2deg(turn), moved, moved / heights)
 
 
 def _beyond_swing(places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
