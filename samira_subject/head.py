@@ -76,5 +76,5 @@ def build_template() -> HeadTemplate:
         expression_names=tuple(named),
         joint_names=FLAME_JOINTS,
         head_joint="neck",
-        landmarks=face_mesh(anatomy),
+        landmarks=face_mesh((anatomy.points + ORIGIN) / 1000.0, anatomy.faces),
     )

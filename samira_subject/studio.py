@@ -104,7 +104,8 @@ class Studio:
             vertices = self._subdivision.refine(posed.vertices)
             for lids in self._eyelids:
                 vertices = lids.clear(vertices, posed.joint_transforms)
-            opening = float(parameters.rotations[self._rig.joint("jaw"), 0])
+            has_jaw = "jaw" in self._rig.joint_names
+            opening = float(parameters.rotations[self._rig.joint("jaw"), 0]) if has_jaw else 0.0
             slopes = self._materials.relief(parameters.expression, opening)
             return PosedSkin(self._skin, vertices, slopes)
 

@@ -142,15 +142,6 @@ def eyeball() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return np.array(points), disc_triangles(count, len(angles) - 1), np.array(chart)
 
 
-def on_cornea(flat: np.ndarray) -> np.ndarray:
-    """(N, 3) the eyeball's surface from its centre, at (N, 2) front-view places from there."""
-    angles = np.arcsin(np.linalg.norm(flat, axis=1) / EYE_RADIUS)
-    for _ in range(20):  # the cornea stands out by little: this settles
-        radii = np.array([_globe(angle) for angle in angles])
-        angles = np.arcsin(np.linalg.norm(flat, axis=1) / radii)
-    return np.column_stack([flat, radii * np.cos(angles)])
-
-
 def _globe(angle: float) -> float:
     """Distance from the centre to the surface at an angle from the axis: the cornea stands out."""
     return EYE_RADIUS + CORNEA * float(fade(angle, 0.1, 0.56))

