@@ -10,7 +10,7 @@ from samira_warp.data.frames import Frame, FrameFiles, Listing, TrackedSequence
 from samira_warp.data.index import FileIndex
 from samira_warp.data.split import parse_split
 from samira_warp.data.tracking import Reading
-from samira_warp.head.flame import read_head
+from samira_warp.head.models import read_head
 from samira_warp.head.parameters import FrameParameters
 from samira_warp.head.template import HeadTemplate, read_template
 from samira_warp.support.errors import UserError

@@ -5,11 +5,19 @@ Li et al., "Learning a model of facial shape and expression from 4D scans", 2017
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
 
-from samira_warp.head.flame_companions import check_ids, checked_uvs, read_eyelids, read_masks, read_uvs
+from samira_warp.head.flame_companions import (
+    check_ids,
+    checked_uvs,
+    read_eyelids,
+    read_landmarks,
+    read_masks,
+    read_uvs,
+)
 from samira_warp.head.joints import FLAME_JOINTS
 from samira_warp.head.teeth import add_teeth
 from samira_warp.head.template import HeadTemplate, load_arrays, template_of
@@ -31,21 +39,8 @@ EYELIDS = ("eyelid_left", "eyelid_right")
 _KEYS = ("v_template", "shapedirs", "posedirs", "J_regressor", "kintree_table", "weights", "f")
 
 
-def read_head(path: str | Path) -> HeadTemplate:
-    """Read a template of this project (`read_template`), or FLAME with what is beside it (`read_flame`).
-
-    Raises:
-        UserError: As in read_template and read_flame.
-    """
-    path = Path(path)
-    if path.suffix.lower() != ".npz":
-        return read_flame(path)
-    arrays = load_arrays(path)
-    return template_of(path, arrays) if "n_shape" in arrays else _completed(path, arrays)
-
-
 def read_flame(path: str | Path) -> HeadTemplate:
-    """Read FLAME, add its UV coordinates and regions, its teeth, and eyelids where their shapes are given.
+    """Read FLAME, add UV coordinates, regions and teeth, and eyelids and landmarks where they are given.
 
     Args:
         path: FLAME's pickle as it is downloaded (generic_model.pkl, flame2023.pkl, ...), or an .npz of the
@@ -74,12 +69,14 @@ def _completed(path: Path, values: object) -> HeadTemplate:
     arrays = arrays_of(path, values, _KEYS)
     _check_layout(path, arrays)
     size = {"vertices": FLAME_VERTICES, "faces": FLAME_FACES}
+    own_faces = arrays["f"]
     if isinstance(values, dict) and "vt" in values and "ft" in values:
         arrays |= checked_uvs(path, arrays_of(path, values, ("vt", "ft")), **size)
     else:
         arrays |= read_uvs(path.parent, **size)
     arrays |= read_masks(path.parent, vertices=FLAME_VERTICES)
     arrays = add_teeth(arrays, n_shape=FLAME_IDENTITY)
+    landmarks = read_landmarks(path.parent, own_faces, arrays["f"])
     eyelids = read_eyelids(path.parent, vertices=FLAME_VERTICES)
     names = [f"expression_{index:03d}" for index in range(arrays["shapedirs"].shape[2] - FLAME_IDENTITY)]
     if eyelids is not None:
@@ -88,9 +85,10 @@ def _completed(path: Path, values: object) -> HeadTemplate:
             [arrays["shapedirs"], np.pad(eyelids, ((0, rest), (0, 0), (0, 0)))], axis=2
         )
         names += EYELIDS
-    return template_of(
+    template = template_of(
         path, {**arrays, "n_shape": np.asarray(FLAME_IDENTITY), "expression_names": np.array(names)}
     )
+    return dataclasses.replace(template, landmarks=landmarks)
 
 
 def _check_layout(path: Path, arrays: dict[str, np.ndarray]) -> None:

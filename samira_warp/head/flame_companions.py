@@ -1,8 +1,9 @@
-"""What FLAME's own file lacks, found beside it: UV coordinates, regions, metrical-tracker's eyelid shapes.
+"""What FLAME's own file lacks, found beside it: UV coordinates, regions, landmarks, eyelid shapes.
 
 UV coordinates   head_template_mesh.obj, head_template.obj, flame_uv.npz, FLAME_texture.npz,
                  texture_data_{256,512,1024,2048}.npy: the first that is there and has them
 regions          FLAME_masks.pkl
+landmarks        mediapipe_landmark_embedding.npz; it may be absent
 eyelids          l_eyelid.npy and r_eyelid.npy, also in a folder blendshapes; they may be absent
 """
 
@@ -12,8 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
+from samira_warp.head.landmarks import EMBEDDING_FILE, LandmarkEmbedding, read_landmark_embedding
 from samira_warp.head.template import load_arrays
 from samira_warp.io.pickles import arrays_of, read_pickle, read_pickled_npy
+from samira_warp.io.wavefront import read_mesh
 from samira_warp.support.errors import UserError
 
 UV_FILES = (
@@ -39,7 +42,9 @@ def read_uvs(folder: Path, *, vertices: int, faces: int) -> dict[str, np.ndarray
         if not path.is_file():
             continue
         if path.suffix == ".obj":
-            return checked_uvs(path, _read_obj(path), vertices=vertices, faces=faces)
+            mesh = read_mesh(path)
+            uvs = {"vt": mesh.uvs, "f": mesh.faces, "ft": mesh.uv_faces}
+            return checked_uvs(path, uvs, vertices=vertices, faces=faces)
         if path.suffix == ".npy":
             return checked_uvs(
                 path, arrays_of(path, read_pickled_npy(path), ("vt", "ft")), vertices=vertices, faces=faces
@@ -67,6 +72,8 @@ def checked_uvs(
             expected="finite numbers of shape (any, 2)",
             found=f"{vt.dtype} of shape {vt.shape}",
         )
+    if not len(vt):
+        raise UserError(f"{path}: vt", expected="at least one pair of UV coordinates", found="none")
     for key in ("f", "ft"):
         if key in arrays and arrays[key].shape != (faces, 3):
             raise UserError(
@@ -111,6 +118,29 @@ def read_masks(folder: Path, *, vertices: int) -> dict[str, np.ndarray]:
     return {f"mask_{name}": ids.ravel() for name, ids in masks.items()}
 
 
+def read_landmarks(folder: Path, own_faces: np.ndarray, faces: np.ndarray) -> LandmarkEmbedding | None:
+    """The face mesh's points on FLAME; None where the file is not there.
+
+    Args:
+        folder: Where it may be.
+        own_faces: (F, 3) FLAME's own faces, whose order the file means.
+        faces: (at least F, 3) the same ones, in the order that the head has them.
+
+    Raises:
+        UserError: The file is broken.
+    """
+    path = folder / EMBEDDING_FILE
+    if not path.is_file():
+        return None
+    own = read_landmark_embedding(path, faces=len(own_faces))
+    if np.array_equal(own_faces, faces[: len(own_faces)]):
+        return own
+    of_corners = {tuple(sorted(face)): number for number, face in enumerate(faces.tolist())}
+    found = np.array([of_corners[tuple(sorted(own_faces[face].tolist()))] for face in own.faces], np.int32)
+    at = np.argmax(faces[found][:, :, None] == own_faces[own.faces][:, None, :], axis=2)
+    return LandmarkEmbedding(own.ids, found, np.take_along_axis(own.barycentrics, at, axis=1))
+
+
 def read_eyelids(folder: Path, *, vertices: int) -> np.ndarray | None:
     """(V, 3, 2) metres that a weight of 1 moves the left and the right lids.
 
@@ -146,36 +176,3 @@ def _read_eyelid(path: Path, vertices: int) -> np.ndarray:
         found = f"{array.dtype} of shape {array.shape}" if isinstance(array, np.ndarray) else "an archive"
         raise UserError(path, expected=f"finite numbers of shape ({vertices}, 3)", found=found)
     return array
-
-
-def _read_obj(path: Path) -> dict[str, np.ndarray]:
-    """Triangles of a Wavefront file and their UV coordinates, in the file's own order of both."""
-    uvs: list[list[float]] = []
-    corners: list[list[list[int]]] = []
-    try:
-        lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
-    except OSError as fault:
-        raise UserError(path, expected="a Wavefront file", found=fault) from fault
-    for number, line in enumerate(lines, start=1):
-        kind, *words = line.split() or [""]
-        try:
-            if kind == "vt":
-                uvs.append([float(word) for word in words[:2]])
-            elif kind == "f":
-                corners.append([[int(index) - 1 for index in word.split("/")[:2]] for word in words])
-        except ValueError as fault:
-            raise UserError(
-                f"{path}: line {number}", expected=f"numbers after {kind}", found=repr(line[:80])
-            ) from fault
-        if kind == "f" and (len(corners[-1]) != 3 or any(len(corner) != 2 for corner in corners[-1])):
-            raise UserError(
-                f"{path}: line {number}", expected="a triangle with UV coordinates", found=repr(line[:80])
-            )
-    if not corners or not uvs or any(len(uv) != 2 for uv in uvs):
-        raise UserError(
-            path,
-            expected="faces (f) and UV coordinates (vt)",
-            found=f"{len(corners)} faces, {len(uvs)} coordinates",
-        )
-    indices = np.array(corners)
-    return {"vt": np.array(uvs), "f": indices[:, :, 0], "ft": indices[:, :, 1]}

@@ -50,6 +50,20 @@ def read_npz(path: Path, *, wanted: Callable[[str], bool]) -> dict[str, np.ndarr
     return arrays
 
 
+def names_of(path: Path) -> tuple[str, ...]:
+    """The names of an archive's arrays, none of which is read.
+
+    Raises:
+        UserError: The file is no archive.
+    """
+    try:
+        with _opened(path) as archive:
+            return tuple(archive.files)
+    except _UNREADABLE as fault:
+        found = f"unreadable content ({fault or type(fault).__name__})"
+        raise UserError(path, expected=_PLAIN, found=found) from fault
+
+
 def _opened(path: Path) -> NpzFile:
     archive = np.load(path, allow_pickle=False)
     if not isinstance(archive, NpzFile):

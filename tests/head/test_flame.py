@@ -21,8 +21,9 @@ from data.flame_files import (
 )
 
 from samira_warp.head import Rig, UvAtlas, read_template, save_template
-from samira_warp.head.flame import EYELIDS, FLAME_FACES, FLAME_IDENTITY, FLAME_VERTICES, read_flame, read_head
+from samira_warp.head.flame import EYELIDS, FLAME_FACES, FLAME_IDENTITY, FLAME_VERTICES, read_flame
 from samira_warp.head.flame_companions import UV_FILES, read_masks
+from samira_warp.head.models import read_head
 from samira_warp.head.regions import REGIONS, route_faces
 from samira_warp.head.teeth import LOWER_LIP, RING, TEETH_FACES, TEETH_VERTICES, UPPER_LIP
 from samira_warp.support.errors import UserError
@@ -206,7 +207,7 @@ def refused(path):
 @pytest.mark.parametrize(
     ("file", "said"),
     [
-        ("flame2023.npz", "flame2023.npz: expected an npz file with FLAME's keys, found no such file"),
+        ("flame2023.npz", "flame2023.npz: expected a template.npz, FLAME's file, GNM's"),
         ("flame_uv.npz", "expected FLAME's UV coordinates in one of head_template_mesh.obj"),
         ("FLAME_masks.pkl", "FLAME_masks.pkl: expected FLAME's vertex masks"),
         ("l_eyelid.npy", "l_eyelid.npy: expected the other eyelid beside r_eyelid.npy"),
@@ -289,13 +290,21 @@ COMPANION_FAULTS = {
     ),
     "an empty mesh": (
         "head_template.obj", "# nothing",
-        "head_template.obj: expected faces (f) and UV coordinates (vt), found 0 faces",
+        "head_template.obj: expected polygons (f), found none",
     ),
     "quads": (
-        "head_template.obj", "vt 0 0\nf 1/1 2/1 3/1 4/1",
-        "head_template.obj: line 2: expected a triangle with UV coordinates",
+        "head_template.obj", 4 * "v 0 0 0\n" + "vt 0 0\nf 1/1 2/1 3/1 4/1",
+        "head_template.obj: f: expected the 9976 triangles of FLAME, found shape (2, 3)",
     ),
-    "a mesh without uvs": ("head_template.obj", "f 1 2 3", "line 1: expected a triangle with UV coordinates"),
+    "a mesh without uvs": (
+        "head_template.obj", 3 * "v 0 0 0\n" + 9976 * "f 1 2 3\n",
+        "head_template.obj: vt: expected at least one",
+    ),
+    "a mesh with some uvs": (
+        "head_template.obj", 3 * "v 0 0 0\n" + "vt 0 0\n" + 9976 * "f 1/1 2/1 3\n",
+        "head_template.obj: ft: expected integers from 0 to 0",
+    ),
+    "a mesh beyond": ("head_template.obj", "vt 0 0\nf 1/1 2/1 3/1", "expected ids of its 0 vertices"),
     "a mesh of words": ("head_template.obj", "vt 0 zero", "line 1: expected numbers after vt"),
 }  # fmt: skip
 
