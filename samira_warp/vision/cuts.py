@@ -8,7 +8,8 @@ import numpy as np
 from PIL import Image
 
 LEVELS = 4
-"""Of each colour in a histogram: 64 cells."""
+CELLS = LEVELS**3
+"""Of each colour in a histogram, and of all three."""
 
 SAMPLE = 32
 """Pixels of either side that a picture is shrunk to before its colours are counted."""
@@ -39,11 +40,11 @@ def colour_histogram(picture: np.ndarray) -> np.ndarray:
     place = small.reshape(-1, 3).astype(np.float32) * ((LEVELS - 1) / 255.0)
     low = np.minimum(place.astype(np.int64), LEVELS - 2)
     high = place - low
-    counts = np.zeros(LEVELS**3)
+    counts = np.zeros(CELLS)
     for corner in np.ndindex(2, 2, 2):
         cell = (low + corner) @ [LEVELS**2, LEVELS, 1]
         weight = np.where(corner, high, 1.0 - high).prod(axis=1)
-        counts += np.bincount(cell, weight, LEVELS**3)
+        counts += np.bincount(cell, weight, CELLS)
     return (counts / counts.sum()).astype(np.float32)
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from samira_warp.vision.crops import Square
-from samira_warp.vision.cuts import colour_histogram
+from samira_warp.vision.cuts import CELLS, colour_histogram
 from samira_warp.vision.detector import Detection, detect_faces
 from samira_warp.vision.face_shape import roll_of
 from samira_warp.vision.iris import LIDS, read_eye
@@ -232,6 +232,6 @@ def _track(frames: list[_Frame], notes: tuple[str, ...]) -> FaceTrack:
         seen=np.array([frame.reading is not None for frame in frames], bool),
         reasons=tuple(frame.reason for frame in frames),
         person=np.array([frame.person for frame in frames], np.int32),
-        colours=np.array([frame.colours for frame in frames], np.float32).reshape(count, -1),
+        colours=np.array([frame.colours for frame in frames], np.float32).reshape(count, CELLS),
         notes=notes,
     )
