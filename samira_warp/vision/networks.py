@@ -10,7 +10,7 @@ from samira_warp.vision.weights import FACE_DETECTOR, FACE_MESH, IRIS, NetworkFi
 
 VALUE_RANGES = {FACE_DETECTOR: (-1.0, 1.0), FACE_MESH: (0.0, 1.0), IRIS: (0.0, 1.0)}
 """What black and white are to each network. Nothing that comes out tells a wrong range: the detector's and
-the mesh's scores stay, and the points of the mesh move by 0.5 to 1.3 of its 192 pixels, an iris by 1 to 2 %
+the mesh's scores stay, and the points of the mesh move by 0.5 to 1.3 of its 192 pixels, an iris by 1 to 3 %
 of the eye's width."""
 
 
