@@ -78,8 +78,8 @@ _MEDIAPIPE = Wheel(
     tags=("manylinux_2_17_x86_64", "3.11", "cp311"),
     licence="Apache-2.0",
 )
-"""Of an older line of wheels: 1.2.3 has no such files in it any more. They are data: a wheel that was made for
-one machine serves every other."""
+"""Of an older line of wheels: 1.2.3 has no such files in it any more. They are data: a wheel that was made
+for one machine serves every other."""
 
 FACE_DETECTOR = NetworkFile(
     _FACES,
