@@ -1,4 +1,4 @@
-"""Axis-angle vectors as rotation matrices."""
+"""Axis-angle vectors as rotation matrices, and how these turn with them."""
 
 from __future__ import annotations
 
@@ -20,8 +20,32 @@ def axis_angle_to_matrix(axis_angle: Tensor) -> Tensor:
     angle = torch.where(small, 1.0, squared).sqrt()
     sine = torch.where(small, 1 - squared / 6 + squared**2 / 120, angle.sin() / angle)
     versine = torch.where(small, 0.5 - squared / 24 + squared**2 / 720, 2 * ((angle / 2).sin() / angle) ** 2)
-    x, y, z = axis_angle.unbind(dim=-1)
-    zero = torch.zeros_like(x)
-    cross = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], dim=-1).unflatten(-1, (3, 3))
+    cross = _cross(axis_angle)
     identity = torch.eye(3, dtype=axis_angle.dtype, device=axis_angle.device)
     return identity + sine[..., None, None] * cross + versine[..., None, None] * (cross @ cross)
+
+
+def left_jacobian(axis_angle: Tensor) -> Tensor:
+    """How a rotation turns with its axis-angle vector v: R(v + d) = exp(J d) R(v) for small d.
+
+    Args:
+        axis_angle: (..., 3) axis times angle in radians.
+
+    Returns:
+        (..., 3, 3) J = 1 + b [v] + c [v]^2 with b = (1 - cos(t)) / t^2, c = (t - sin(t)) / t^3 and t = |v|.
+    """
+    squared = (axis_angle * axis_angle).sum(dim=-1)
+    small = squared < 1e-4
+    angle = torch.where(small, 1.0, squared).sqrt()
+    versine = torch.where(small, 0.5 - squared / 24 + squared**2 / 720, 2 * ((angle / 2).sin() / angle) ** 2)
+    rest = torch.where(small, 1 / 6 - squared / 120 + squared**2 / 5040, (angle - angle.sin()) / angle**3)
+    cross = _cross(axis_angle)
+    identity = torch.eye(3, dtype=axis_angle.dtype, device=axis_angle.device)
+    return identity + versine[..., None, None] * cross + rest[..., None, None] * (cross @ cross)
+
+
+def _cross(vector: Tensor) -> Tensor:
+    """(..., 3, 3) matrices [v] of cross products: [v] u = v x u."""
+    x, y, z = vector.unbind(dim=-1)
+    zero = torch.zeros_like(x)
+    return torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], dim=-1).unflatten(-1, (3, 3))

@@ -1,0 +1,138 @@
+"""A head tracked through a film: from landmarks to pixels, stage by stage."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from samira_warp.head.parameters import FrameParameters
+from samira_warp.head.smooth_basis import smooth_basis
+from samira_warp.head.template import HeadTemplate
+from samira_warp.support.errors import UserError
+from samira_warp.tracker.color_fit import SIDE, fit_colors, know, observe
+from samira_warp.tracker.film import Film
+from samira_warp.tracker.landmark_fit import (
+    LandmarkModel,
+    Started,
+    fit_frames,
+    fit_subject,
+    key_frames,
+    landmark_errors,
+)
+from samira_warp.tracker.observed import Landmarks
+from samira_warp.tracker.priors import frame_terms
+from samira_warp.tracker.render_fit import KeyFrames, Rendered, refine_by_rendering
+from samira_warp.tracker.samples import Samples
+from samira_warp.tracker.subject import TrackedHead
+from samira_warp.tracker.terms import Term
+from samira_warp.tracker.unknowns import Unknowns
+
+FUNCTIONS = 60
+"""Smooth functions of the offset: waves of some 3 cm on the face."""
+
+RENDERED_FRAMES = 48
+"""Frames that the subject is refined from by rendering, evenly over the film."""
+
+
+@dataclass(frozen=True, eq=False)
+class Tracking:
+    """A head in N frames.
+
+    Attributes:
+        parameters: Of the frames, float32.
+        shape: (S,) float32 identity.
+        static_offset: (V, 3) float32 metres.
+        focal: Focal length, pixels.
+        albedo: (V, 3) float32 linear; its scale is not known (see `light`).
+        light: (9, 3) float32 spherical harmonics of radiance, in the world.
+        errors: (N, L) float32 pixels between landmarks and the mesh, NaN where there is none.
+        by_landmarks: (N, L) the same after stage (b).
+    """
+
+    parameters: FrameParameters
+    shape: Tensor
+    static_offset: Tensor
+    focal: float
+    albedo: Tensor
+    light: Tensor
+    errors: Tensor
+    by_landmarks: Tensor
+
+
+def track(
+    template: HeadTemplate, film: Film, landmarks: Landmarks, *, say: Callable[[str], None]
+) -> Tracking:
+    """Track a head.
+
+    Args:
+        template: The head model, with landmarks on it.
+        film: N frames.
+        landmarks: All 478 landmarks in the N frames, at least one of them seen.
+        say: Told of progress, a line for each stage.
+
+    Raises:
+        UserError: The head has no landmarks, or a picture cannot be read.
+    """
+    if template.landmarks is None:
+        raise UserError("head", expected="a head with landmarks (docs/heads.md says how)", found="none on it")
+    basis = smooth_basis(template, FUNCTIONS + 1)
+    head = TrackedHead.build(
+        template, basis=basis.vectors[:, 1:], eigenvalues=basis.eigenvalues[1:] / basis.eigenvalues[1]
+    )
+    model = LandmarkModel.build(head, template.landmarks)
+    started = fit_subject(model, landmarks, film.view, focal=film.focal, say=say)
+    unknowns = fit_frames(model, landmarks, film.view, started, rate=film.rate)
+    by_landmarks = landmark_errors(model, unknowns, landmarks, film.view)
+    say(f"{len(unknowns.frames)} frames from landmarks: {float(by_landmarks.nanmedian()):.2f} pixels off")
+    keys = key_frames(landmarks, RENDERED_FRAMES)
+    rendered = _refine_subject(model, unknowns, keys, film, landmarks, started.scales, say=say)
+    unknowns = replace(unknowns, subject=rendered.unknowns.subject)
+    unknowns = fit_frames(model, landmarks, film.view, Started(unknowns, started.scales), rate=film.rate)
+
+    def terms(rows: slice) -> list[Term]:
+        of_landmarks = model.terms(landmarks.rows(rows), film.view, scales=started.scales[rows])
+        return [*of_landmarks, *frame_terms(head, rate=film.rate)]
+
+    unknowns = fit_colors(head, unknowns, film, keys, terms, say=say)
+    errors = landmark_errors(model, unknowns, landmarks, film.view)
+    say(
+        f"{len(unknowns.frames)} frames from pixels: {float(errors.nanmedian()):.2f} pixels off the landmarks"
+    )
+    return Tracking(
+        parameters=unknowns.parameters().to(dtype=torch.float32),
+        shape=unknowns.shape.float(),
+        static_offset=head.basis @ unknowns.offset.float(),
+        focal=unknowns.focal,
+        albedo=rendered.albedo,
+        light=rendered.light,
+        errors=errors,
+        by_landmarks=by_landmarks,
+    )
+
+
+def _refine_subject(
+    model: LandmarkModel,
+    unknowns: Unknowns,
+    keys: Tensor,
+    film: Film,
+    landmarks: Landmarks,
+    scales: Tensor,
+    *,
+    say: Callable[[str], None],
+) -> Rendered:
+    """Stage (c) of the subject: by rendering key frames."""
+    pictures, mattes = film.load(keys, SIDE)
+    at_keys = unknowns.chosen(keys)
+    vertices = Samples.at_vertices(model.head)
+    known = know(observe(model.head, vertices, at_keys, pictures, mattes, film.view))
+    frames = KeyFrames(
+        pictures,
+        mattes,
+        landmarks.points[keys][:, model.ids],
+        model.precision(landmarks.rows(keys), scales=scales[keys]),
+    )
+    start = Rendered(at_keys, known.appearance.albedo, known.appearance.light)
+    return refine_by_rendering(model, start, frames, film.view, say=say)
