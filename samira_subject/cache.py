@@ -11,6 +11,7 @@ from samira_subject.cast import build_cast
 from samira_subject.make import make_subject
 from samira_subject.plan import VERSION, SubjectPlan
 from samira_warp.data.subjects import MadeSubject
+from samira_warp.head.template import HeadTemplate
 from samira_warp.io.alone import alone
 from samira_warp.io.files import cache_folder, read_json
 from samira_warp.support.errors import UserError, in_words
@@ -50,7 +51,13 @@ def built_in_subject(seed: int = 0) -> Path:
     return folder
 
 
-BUILT_IN = MadeSubject(folder=subject_folder, dataset=built_in_subject)
+def _head() -> HeadTemplate:
+    from samira_subject.head import build_template  # loads what a folder's name does not need
+
+    return build_template()
+
+
+BUILT_IN = MadeSubject(folder=subject_folder, dataset=built_in_subject, head=_head)
 """What `samira_warp.data.subjects` offers as ``built_in``."""
 
 

@@ -7,6 +7,7 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import NamedTuple
 
+from samira_warp.head.template import HeadTemplate
 from samira_warp.support.errors import UserError
 
 GROUP = "samira_warp.subjects"
@@ -25,10 +26,12 @@ class MadeSubject(NamedTuple):
     Attributes:
         folder: Says where the dataset is, or will be.
         dataset: Makes it where it is not there yet, and says where; raises UserError where it cannot.
+        head: Builds its head model, which other people may be tracked with.
     """
 
     folder: Callable[[], Path]
     dataset: Callable[[], Path]
+    head: Callable[[], HeadTemplate]
 
 
 def made_subject(name: str = BUILT_IN) -> MadeSubject:

@@ -18,7 +18,8 @@ def main(config: PrepareConfig) -> None:
     except KeyboardInterrupt:
         print("stopped; the same command goes on", file=sys.stderr)
         raise
-    print(f"{dataset} is ready: python -m samira_warp.train --data {dataset} --flame FILE", file=sys.stderr)
+    flame = "" if config.vhap is None else " --flame FILE"
+    print(f"{dataset} is ready: python -m samira_warp.train --data {dataset}{flame}", file=sys.stderr)
 
 
 def command(arguments: Sequence[str] | None = None, program: str = "python -m samira_warp.prepare") -> int:

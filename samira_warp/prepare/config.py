@@ -15,7 +15,7 @@ from samira_warp.support.image_size import check_side
 
 @dataclass(frozen=True)
 class PrepareConfig:
-    """Make a dataset of a video of one head: frames, head crop, mattes, tracking by VHAP, pseudo-albedo.
+    """Make a dataset of a video of one head: frames, head crop, landmarks, mattes, tracking.
 
     Run the same command again after an interrupt, or after installing what was missing: a stage whose output
     is there is skipped, one that was begun goes on, and all that follow a stage with other inputs are done
@@ -28,16 +28,24 @@ class PrepareConfig:
     """Folder of everything that is made."""
     size: int = 512
     """Side of the square frames, pixels; smaller where the crop is."""
-    fps: float | None = None
-    """Frames to take of a second; default all of them."""
+    fps: float | None = 25.0
+    """Frames to take of a second, where the video has more."""
     crop: str | None = None
-    """Square of the video to keep, X,Y,SIDE in pixels from its upper left; default what Robust Video Matting
-    takes for the head."""
+    """Square of the video to keep, X,Y,SIDE in pixels from its upper left; default one about the head."""
+    head: Path | None = None
+    """Head model to track: a FLAME file, a template.npz, or a folder of ICT-FaceKit; default the built-in
+    head."""
     mattes: Path | None = None
-    """Folder of mattes made by another program, named as OUT/film/images; default Robust Video Matting's."""
+    """Folder of mattes made by another program, named as OUT/film/images; default Robust Video Matting's
+    where it is installed, else a smaller network's."""
+    keep_shoulders: bool = False
+    """Keep what the mattes show below the neck."""
+    models: Path | None = None
+    """Folder of the networks' files, or of the wheels that they are in, where there is no network to fetch
+    them from."""
     vhap: Path | None = None
-    """Folder of VHAP (a clone of github.com/ShenhanQian/VHAP with FLAME's files in its asset/flame); default
-    where its Python has it."""
+    """Have VHAP track instead: its folder (a clone of github.com/ShenhanQian/VHAP with FLAME's files in its
+    asset/flame)."""
     vhap_python: str = "conda run --no-capture-output -n VHAP python"
     """How to call the Python of VHAP's environment."""
     albedo: Path | None = None
@@ -58,7 +66,7 @@ class PrepareConfig:
             if not holds:
                 raise UserError(f"--{name}", expected=expected, found=getattr(self, name))
         check_side("--size", self.size)
-        for name in ("mattes", "albedo"):
+        for name in ("mattes", "albedo", "models"):
             folder = getattr(self, name)
             if folder is not None and not folder.is_dir():
-                raise UserError(f"--{name} {folder}", expected="a folder of pictures", found="none there")
+                raise UserError(f"--{name} {folder}", expected="a folder", found="none there")

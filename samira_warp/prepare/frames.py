@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,9 @@ from samira_warp.prepare.video import Picture, VideoFacts, read_pictures
 
 SAMPLES = 32
 """Pictures of a video in which the head is looked for."""
+
+STILL_RATE = 25.0
+"""Frames a second of a film of one picture."""
 
 JPEG_QUALITY = 98
 """Of 100, with colour as fine as brightness: errors of one or two levels, which training would else learn."""
@@ -40,9 +44,22 @@ def sampled(video: Path, facts: VideoFacts) -> Iterator[np.ndarray]:
             yield picture.pixels()
 
 
+@dataclass(frozen=True)
+class Written:
+    """Frames of a video.
+
+    Attributes:
+        count: How many there are.
+        rate: How many there are a second.
+    """
+
+    count: int
+    rate: float
+
+
 def write_frames(
     video: Path, facts: VideoFacts, folder: Path, *, crop: Crop, size: int, fps: float | None
-) -> int:
+) -> Written:
     """Write the frames that are not there yet; each appears whole or not at all.
 
     Args:
@@ -53,9 +70,6 @@ def write_frames(
         size: Side of the frames, pixels; a crop is never enlarged.
         fps: Frames to take of a second, None for all.
 
-    Returns:
-        How many frames there are.
-
     Raises:
         UserError: The video is broken.
         OSError: A frame cannot be written.
@@ -63,6 +77,7 @@ def write_frames(
     folder.mkdir(parents=True, exist_ok=True)
     clear_unfinished(folder)
     side, count = min(size, crop.side), 0
+    first = last = 0.0
     bar = tqdm(
         read_pictures(video), total=facts.count or None, desc="frames", unit="frame", dynamic_ncols=True
     )
@@ -71,8 +86,9 @@ def write_frames(
         if not path.exists():
             kept = crop.of(picture.pixels()).astype(np.float32) / 255.0
             write_whole(path, resize_box(kept, width=side, height=side))
+        first, last = (picture.seconds if count == 0 else first), picture.seconds
         count += 1
-    return count
+    return Written(count, (count - 1) / (last - first) if last > first else fps or STILL_RATE)
 
 
 def thinned(pictures: Iterator[Picture], fps: float | None) -> Iterator[Picture]:

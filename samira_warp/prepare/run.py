@@ -1,8 +1,9 @@
 """The stages from a video to a dataset, each done once.
 
     OUT/film/images, OUT/film/alpha_maps   frames and mattes, as VHAP reads them
-    OUT/tracking                           what VHAP writes
-    OUT/dataset                            VHAP's export, and albedo in it
+    OUT/film/faces.npz                     what networks see of the face in every frame
+    OUT/tracking                           the fit, curves of it, and the mesh over the film; or VHAP's
+    OUT/dataset                            what train reads
     OUT/stages                             what is done, from what
 
 What an option does not ask for anew stays as it is: a crop, mattes and albedo that were given once are kept
@@ -12,31 +13,54 @@ when the option is left out.
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
+from dataclasses import asdict
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from samira_warp.check import check_dataset
 from samira_warp.data import open_listing
 from samira_warp.data.pictures import pictures_of
+from samira_warp.data.subjects import made_subject
+from samira_warp.head import HeadTemplate
+from samira_warp.head.models import missing_landmarks, read_head
 from samira_warp.io.files import replace_folder
+from samira_warp.io.images import image_size, write_png
 from samira_warp.prepare import albedo, matting, tracking
 from samira_warp.prepare.config import PrepareConfig
-from samira_warp.prepare.crop import Crop, crop_around, find_head, middle, parse_crop
+from samira_warp.prepare.crop import Box, Crop, crop_around, find_head, middle, parse_crop
+from samira_warp.prepare.cutting import write_cut_mattes
+from samira_warp.prepare.export import export
+from samira_warp.prepare.faces import Chosen, choose_frames, head_box, read_faces, rows_of, write_faces
 from samira_warp.prepare.frames import sampled, write_frames
+from samira_warp.prepare.lenses import known_focal
+from samira_warp.prepare.own_tracking import FIT_FILE, Filmed, read_fit, track_film
 from samira_warp.prepare.stages import Stage, check_root, content_of, folder_identity, is_file
 from samira_warp.prepare.video import VideoFacts, read_facts
 from samira_warp.support.errors import UserError
+from samira_warp.tracker.observed import View
+from samira_warp.vision.faces import FaceTrack
+from samira_warp.vision.mattes import load_segmentation
+from samira_warp.vision.networks import FaceNetworks
 
-MIDDLE = "the middle, for want of mattes"
-NETWORK, NOTHING = "Robust Video Matting", "nothing"
-"""How a square or mattes came about, as the stages' files say it."""
+OPTION, FACES, MATTES = "--crop", "its face", "its mattes"
+MIDDLE = "the middle, for want of anything that finds the head"
+"""By what a square was chosen, as the stages' files say it."""
+
+NETWORK, CUT, NOTHING = "Robust Video Matting", "selfie segmentation, sharpened", "nothing"
+"""How mattes came about, as the stages' files say it."""
 
 CHANGES = {
     "crop": "the square (--crop)",
     "frames": "frames of the same --size and --fps",
     "mattes": "the mattes",
-    "tracking": "the film",
+    "tracking": "the film, the head and the tracker",
 }
 """What has changed where a stage's inputs have, by the stage."""
+
+CONTACT_SHEET = "tracking.png"
+"""The sheet of `check`, in the dataset's folder."""
 
 
 def prepare(config: PrepareConfig) -> Path:
@@ -48,8 +72,8 @@ def prepare(config: PrepareConfig) -> Path:
         The dataset's folder.
 
     Raises:
-        UserError: The video or an option cannot be used, or there is no tracker: then everything before it is
-            done.
+        UserError: The video or an option cannot be used, no face is seen, or what tracks is not there: then
+            everything before it is done.
     """
     config.check()
     facts = read_facts(config.video)
@@ -66,9 +90,13 @@ def prepare(config: PrepareConfig) -> Path:
     config.out.mkdir(parents=True, exist_ok=True)
     cropped = preparation.crop(wanted)
     frames = preparation.frames(cropped)
-    mattes = preparation.mattes(frames)
-    tracked = preparation.track(mattes, vhap)
-    exported = preparation.export(tracked, vhap)
+    if vhap is not None:
+        mattes = preparation.mattes(frames, None)
+        exported = preparation.export_vhap(preparation.track_vhap(mattes, vhap), vhap)
+    else:
+        faces = preparation.faces(frames)
+        mattes = preparation.mattes(frames, faces)
+        exported = preparation.export(preparation.track(mattes, cropped, frames), cropped, frames)
     preparation.add_albedo(exported)
     return config.out / "dataset"
 
@@ -79,6 +107,7 @@ class _Preparation:
     def __init__(self, config: PrepareConfig, facts: VideoFacts) -> None:
         self.config, self.facts, self.root = config, facts, config.out
         self.images, self.alpha_maps = self.root / "film" / "images", self.root / "film" / "alpha_maps"
+        self.faces_file = self.root / "film" / "faces.npz"
         self._matte: matting.Matte | str | None = None
 
     def check_video(self) -> None:
@@ -92,7 +121,7 @@ class _Preparation:
         raise UserError(self.config.video, expected=expected, found="another")
 
     def crop(self, asked: Crop | None) -> Stage:
-        """Choose the square to keep: the option's, the head's by its mattes, or the middle."""
+        """Choose the square to keep: the option's, the head's, or the middle."""
         before = self._finished("crop")
         same = "video" in before.inputs and is_file(self.config.video, before.inputs["video"])
         video = before.inputs["video"] if same else content_of(self.config.video)
@@ -100,9 +129,9 @@ class _Preparation:
         if asked is None and same:
             stage = before
         found = stage.done()
-        if found is None or (found["by"] == MIDDLE and self._may_look_again()):
+        if found is None or (found["by"].startswith("the middle") and self._may_look_again()):
             self._begin(stage)
-            crop, by = (asked, "--crop") if asked is not None else self._head()
+            crop, by = (asked, OPTION) if asked is not None else self._head_square()
             stage.finish({"crop": list(crop), "by": by})
             whole = f"{self.facts.width} x {self.facts.height}"
             _say(f"the square of {crop.side} pixels at {crop.x},{crop.y} of {whole} is kept, by {by}")
@@ -114,7 +143,7 @@ class _Preparation:
         found = stage.done()
         if found is None or found["count"] != len(pictures_of(self.images)):
             self._begin(stage, self.root / "film")
-            count = write_frames(
+            written = write_frames(
                 self.config.video,
                 self.facts,
                 self.images,
@@ -122,12 +151,22 @@ class _Preparation:
                 size=self.config.size,
                 fps=self.config.fps,
             )
-            stage.finish({"count": count})
+            stage.finish(asdict(written))
         return stage
 
-    def mattes(self, frames: Stage) -> Stage:
-        """Write the mattes: those given, else the network's, else some that cover everything."""
-        method = self._matting_method(frames)
+    def faces(self, frames: Stage) -> Stage:
+        """Follow the face through the frames."""
+        stage = self._stage("faces", frames=frames.key())
+        if stage.done(self.faces_file) is None:
+            self._begin(stage, self.faces_file)
+            pictures = [path for _, path in sorted(pictures_of(self.images).items())]
+            write_faces(pictures, self._faces_networks, self.faces_file)
+            stage.finish({})
+        return stage
+
+    def mattes(self, frames: Stage, faces: Stage | None) -> Stage:
+        """Write the mattes: those given, else a network's, else some that cover everything."""
+        method = self._matting_method(frames, faces)
         stage, pictures = self._stage("mattes", frames=frames.key(), method=method), pictures_of(self.images)
         if stage.done() is None or not self._are_whole(frames):
             self._begin(stage, self.alpha_maps)
@@ -136,6 +175,9 @@ class _Preparation:
                 matting.copy_mattes(self.config.mattes, pictures, self.alpha_maps)
             elif network is not None:
                 matting.write_mattes(network, pictures, self.alpha_maps)
+            elif method == CUT:
+                segmentation = load_segmentation(self.config.models)
+                write_cut_mattes(segmentation, pictures, read_faces(self.faces_file), self.alpha_maps)
             else:
                 matting.write_opaque(pictures, self.alpha_maps)
             stage.finish({})
@@ -146,24 +188,60 @@ class _Preparation:
             )
         return stage
 
-    def track(self, mattes: Stage, vhap: tracking.Vhap | None) -> Stage:
-        """Have VHAP track the film."""
-        stage, folder = self._stage("tracking", mattes=mattes.key()), self.root / "tracking"
-        if stage.done(folder) is None:
-            tracker, log = self._tracker(vhap), self.root / "tracking.log"
+    def track(self, mattes: Stage, cropped: Stage, frames: Stage) -> Stage:
+        """Track the film."""
+        stage = self._stage("tracking", mattes=mattes.key(), head=self._head.hash)
+        folder = self.root / "tracking"
+        if stage.done(folder / FIT_FILE) is None:
             self._begin(stage, folder)
-            replace_folder(folder, lambda fresh: tracking.track(tracker, self.root / "film", fresh, log=log))
+            filmed, faces, chosen = self._filmed(cropped, frames)
+            for note in chosen.notes:
+                _say(note)
+            if chosen.left_out:
+                _say(_left_out(chosen))
+            replace_folder(folder, lambda fresh: track_film(self._head, filmed, faces, fresh, say=_say))
             stage.finish({})
         return stage
 
-    def export(self, tracked: Stage, vhap: tracking.Vhap | None) -> Stage:
+    def export(self, tracked: Stage, cropped: Stage, frames: Stage) -> Stage:
+        """Write the dataset, and a sheet of it to look at."""
+        stage = self._stage("dataset", tracking=tracked.key(), shoulders=self.config.keep_shoulders)
+        folder = self.root / "dataset"
+        if stage.done(folder) is None:
+            self._begin(stage, folder)
+            filmed, faces, _ = self._filmed(cropped, frames)
+            fit = read_fit(self.root / "tracking" / FIT_FILE)
+            keep = self.config.keep_shoulders
+            replace_folder(
+                folder,
+                lambda fresh: export(self._head, fit, filmed, faces, fresh, keep_shoulders=keep),
+            )
+            report = check_dataset(folder)
+            if report.sheet is not None:
+                write_png(folder / CONTACT_SHEET, report.sheet)
+            for line in report.text().splitlines():
+                _say(line)
+            stage.finish({})
+        return stage
+
+    def track_vhap(self, mattes: Stage, vhap: tracking.Vhap) -> Stage:
+        """Have VHAP track the film."""
+        stage, folder = self._stage("tracking", mattes=mattes.key()), self.root / "tracking"
+        if stage.done(folder) is None:
+            log = self.root / "tracking.log"
+            self._begin(stage, folder)
+            replace_folder(folder, lambda fresh: tracking.track(vhap, self.root / "film", fresh, log=log))
+            stage.finish({})
+        return stage
+
+    def export_vhap(self, tracked: Stage, vhap: tracking.Vhap) -> Stage:
         """Have VHAP export what it tracked."""
         stage, folder = self._stage("dataset", tracking=tracked.key()), self.root / "dataset"
         if stage.done(folder) is None:
-            tracker, log = self._tracker(vhap), self.root / "dataset.log"
+            log = self.root / "dataset.log"
             self._begin(stage, folder)
             replace_folder(
-                folder, lambda fresh: tracking.export(tracker, self.root / "tracking", fresh, log=log)
+                folder, lambda fresh: tracking.export(vhap, self.root / "tracking", fresh, log=log)
             )
             stage.finish({})
         return stage
@@ -191,6 +269,54 @@ class _Preparation:
             replace_folder(target, lambda fresh: albedo.copy_albedo(images, fresh))
             stage.finish({})
             _say(f"{len(images)} of {len(frames)} frames have an albedo image")
+
+    @cached_property
+    def _faces_networks(self) -> FaceNetworks:
+        return FaceNetworks.load(self.config.models)
+
+    @cached_property
+    def _head(self) -> HeadTemplate:
+        """The head model that is tracked.
+
+        Raises:
+            UserError: It cannot be read, or has no landmarks.
+        """
+        if self.config.head is None:
+            return made_subject().head()
+        template = read_head(self.config.head)
+        missing = missing_landmarks(template, self.config.head)
+        if missing is not None:
+            raise UserError("--head", expected="a head with landmarks", found=missing)
+        return template
+
+    def _filmed(self, cropped: Stage, frames: Stage) -> tuple[Filmed, FaceTrack, Chosen]:
+        """The frames that are tracked, what is seen in them, and why others are left out."""
+        track, rate = read_faces(self.faces_file), float(frames.result()["rate"])
+        chosen = choose_frames(self.config.video, track, rate=rate)
+        pictures = [path for _, path in sorted(pictures_of(self.images).items())]
+        mattes = pictures_of(self.alpha_maps)
+        names = sorted(pictures_of(self.images))
+        width, height = image_size(pictures[0])
+        crop = Crop(*cropped.result()["crop"])
+        scale = width / crop.side
+        view = View(
+            width,
+            height,
+            cx=(0.5 * self.facts.width - crop.x) * scale,
+            cy=(0.5 * self.facts.height - crop.y) * scale,
+        )
+        focal, origin = known_focal(self.config.video, self.facts, crop, side=width)
+        filmed = Filmed(
+            pictures=tuple(pictures[number] for number in chosen.frames),
+            mattes=tuple(mattes[names[number]] for number in chosen.frames),
+            view=view,
+            rate=rate,
+            focal=focal,
+            numbers=tuple(chosen.frames),
+            left_out=chosen.left_out,
+            notes=(*chosen.notes, f"the focal length began at {focal:.0f} pixels, by {origin}"),
+        )
+        return filmed, rows_of(track, chosen.frames), chosen
 
     def _begin(self, stage: Stage, *outputs: Path) -> None:
         """Begin a stage; one whose inputs changed does not take a tracking with it unasked.
@@ -221,10 +347,10 @@ class _Preparation:
         """A stage as it was last finished, whatever its inputs were; without inputs if it never was."""
         return self._stage(name, **self._stage(name).finished())
 
-    def _matting_method(self, frames: Stage) -> str:
+    def _matting_method(self, frames: Stage, faces: Stage | None) -> str:
         """Where mattes come from.
 
-        The option's folder, else where those of these frames came from, else the network if it can be had.
+        The option's folder, else where those of these frames came from, else what network can be had.
         """
         if self.config.mattes is not None:
             return f"folder {folder_identity(pictures_of(self.config.mattes))}"
@@ -232,7 +358,9 @@ class _Preparation:
         theirs = before.get("frames") == frames.key() and self._are_whole(frames)
         if theirs and (before["method"] != NOTHING or self._keeps_tracking()):
             return before["method"]
-        return NOTHING if self._network() is None else NETWORK
+        if self._network() is not None:
+            return NETWORK
+        return CUT if faces is not None else NOTHING
 
     def _are_whole(self, frames: Stage) -> bool:
         return len(pictures_of(self.alpha_maps)) == frames.result()["count"]
@@ -253,36 +381,44 @@ class _Preparation:
                 _say(f"no Robust Video Matting ({self._matte}); to have it: {matting.INSTALL}")
         return None if isinstance(self._matte, str) else self._matte
 
-    def _head(self) -> tuple[Crop, str]:
+    def _head_square(self) -> tuple[Crop, str]:
         """The square round the head, and by what it was found."""
         width, height = self.facts.width, self.facts.height
-        network = self._network()
-        if network is None:
+        find, by = self._finder()
+        if find is None:
             _say(
                 "the head cannot be looked for, and the video's middle is kept; "
                 "--crop X,Y,SIDE keeps another square, the tighter the sharper"
             )
             return middle(width=width, height=height), MIDDLE
-        heads = (
-            find_head(matting.matte_still(network, picture))
-            for picture in sampled(self.config.video, self.facts)
-        )
+        heads = (find(picture) for picture in sampled(self.config.video, self.facts))
         crop = crop_around((head for head in heads if head is not None), width=width, height=height)
         if crop is None:
             raise UserError(
-                self.config.video, expected="a person, or --crop X,Y,SIDE", found="nobody in its mattes"
+                self.config.video, expected="a person, or --crop X,Y,SIDE", found=f"nobody, by {by}"
             )
-        return crop, "its mattes"
+        return crop, by
 
-    def _tracker(self, given: tracking.Vhap | None) -> tracking.Vhap:
-        vhap = given or tracking.installed_vhap(self.config.vhap_python)
-        if vhap is None:
-            advice = f"{tracking.INSTALL}; FLAME's files in VHAP/asset/flame; then this again"
-            expected = f"VHAP for tracking, without which there is no avatar: {advice}"
-            raise UserError(
-                "--vhap", expected=expected, found=f"none; frames and mattes are in {self.root / 'film'}"
-            )
-        return vhap
+    def _finder(self) -> tuple[Callable[[Any], Box | None] | None, str]:
+        """What finds a head in a picture, and its name: the face's networks where the package tracks."""
+        if self.config.vhap is None:
+            networks = self._faces_networks
+            return (lambda picture: head_box(networks, picture)), FACES
+        network = self._network()
+        if network is None:
+            return None, MIDDLE
+        return (lambda picture: find_head(matting.matte_still(network, picture))), MATTES
+
+
+def _left_out(chosen: Chosen) -> str:
+    """Which frames are not tracked, and why."""
+    reasons: dict[str, list[int]] = {}
+    for number, reason in chosen.left_out.items():
+        reasons.setdefault(reason, []).append(number)
+    parts = [
+        f"{len(numbers)} for '{reason}', the first is {numbers[0]}" for reason, numbers in reasons.items()
+    ]
+    return f"{len(chosen.left_out)} frames are left out: {'; '.join(parts)}"
 
 
 def _say(text: str) -> None:

@@ -45,7 +45,7 @@ def test_another_package_adds_its_own_by_an_entry_point(tmp_path):
     (tmp_path / "other_people.py").write_text(
         "from pathlib import Path\n"
         "from samira_warp.data.subjects import MadeSubject\n"
-        "ADA = MadeSubject(folder=lambda: Path('ada'), dataset=lambda: Path('made'))\n"
+        "ADA = MadeSubject(lambda: Path('ada'), lambda: Path('made'), lambda: None)\n"
     )
     facts = tmp_path / "other_people-1.0.dist-info"
     facts.mkdir()
