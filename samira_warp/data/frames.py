@@ -9,6 +9,7 @@ from pathlib import Path
 
 from torch import Tensor
 
+from samira_warp.data.appearance import TrackedAppearance
 from samira_warp.data.lens import Lens
 from samira_warp.data.split import Split, divide_timesteps
 from samira_warp.geometry.camera import Camera
@@ -176,6 +177,7 @@ class TrackedSequence(Listing):
         template_path: Where it was read.
         static_offset: (V, 3) float32 metres, the subject's own offset from the linear shapes; None where the
             dataset has none.
+        appearance: Albedo and light as the tracker found them; None where the dataset has none.
     """
 
     frames: tuple[Frame, ...]
@@ -183,6 +185,7 @@ class TrackedSequence(Listing):
     template: HeadTemplate
     template_path: Path
     static_offset: Tensor | None
+    appearance: TrackedAppearance | None
 
     def batch(self, indices: Iterable[int]) -> FrameParameters:
         """Pose and expression of some frames as one batch; dynamic offsets stay with their frames."""

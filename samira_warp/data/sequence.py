@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import fields
 from pathlib import Path
 
+from samira_warp.data.appearance import read_appearance
 from samira_warp.data.formats import recognise
 from samira_warp.data.frames import Frame, FrameFiles, Listing, TrackedSequence
 from samira_warp.data.index import FileIndex
@@ -48,7 +49,7 @@ def open_sequence(root: Path, *, split: str = "dataset", flame: Path | None = No
     (reading, index), (template, template_path) = all_of(
         lambda: _open(root, split), lambda: _template(root, flame)
     )
-    tracking = reading.tracking(template)
+    tracking, appearance = all_of(lambda: reading.tracking(template), lambda: read_appearance(root, template))
     index.save()
     listing = reading.listing
     return TrackedSequence(
@@ -67,6 +68,7 @@ def open_sequence(root: Path, *, split: str = "dataset", flame: Path | None = No
         template=template,
         template_path=template_path,
         static_offset=tracking.static_offset,
+        appearance=appearance,
     )
 
 

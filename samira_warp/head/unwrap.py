@@ -29,16 +29,26 @@ class UnwrapView(NamedTuple):
         mask: (H, W) coverage.
         vertices: (V, 3) the posed mesh, metres.
         camera: The camera, at the picture's size.
+        shading: (V, C) positive factors of the surface's values in the picture, which is divided by them;
+            None for a picture of the values themselves.
     """
 
     image: Tensor
     mask: Tensor
     vertices: Tensor
     camera: Camera
+    shading: Tensor | None = None
 
 
 @torch.no_grad()
-def unwrap(views: list[UnwrapView], *, atlas: UvAtlas, vertices: Tensor, faces: Tensor) -> Tensor:
+def unwrap(
+    views: list[UnwrapView],
+    *,
+    atlas: UvAtlas,
+    vertices: Tensor,
+    faces: Tensor,
+    otherwise: Tensor | None = None,
+) -> Tensor:
     """Average what the views see of each texel, by the cosine at which they see it.
 
     A texel that no view sees takes the value of the nearest seen point to its mirror image in x on the
@@ -50,6 +60,7 @@ def unwrap(views: list[UnwrapView], *, atlas: UvAtlas, vertices: Tensor, faces: 
         atlas: The head's UV layout.
         vertices: (V, 3) reference mesh, metres.
         faces: (F, 3) vertex ids.
+        otherwise: (V, C) values of the vertices, for texels that no view sees, in place of the mirrored ones.
 
     Returns:
         (h, w, C) values on the atlas's texels.
@@ -67,7 +78,9 @@ def unwrap(views: list[UnwrapView], *, atlas: UvAtlas, vertices: Tensor, faces: 
     mean = texture[known].mean(dim=0) if bool(known.any()) else torch.full_like(texture[0], 0.5)
     texture[~known] = mean
     missing = atlas.valid.flatten() & ~known
-    if bool(known.any()) and bool(missing.any()):
+    if otherwise is not None:
+        texture[missing] = atlas.positions(otherwise).flatten(0, 1)[missing]
+    elif bool(known.any()) and bool(missing.any()):
         positions = atlas.positions(vertices).flatten(0, 1)
         texture[missing] = texture[known][_nearest_mirrored(positions, known, missing)]
     return texture.unflatten(0, (size, size))
@@ -91,7 +104,11 @@ def _read_view(view: UnwrapView, atlas: UvAtlas, faces: Tensor, mesh: RayMesh) -
     sampled = torch.nn.functional.grid_sample(stacked, grid, align_corners=False)[0, :, 0].T
     seen = visible(points, mesh, origin=view.camera.center)
     seen &= atlas.valid.flatten() & (cosine > GRAZING_COSINE) & (sampled[:, -1] > OPAQUE)
-    return torch.where(seen, cosine, 0.0)[:, None], sampled[:, :-1]
+    values = sampled[:, :-1]
+    if view.shading is not None:
+        # texels outside the atlas have none
+        values = values / atlas.positions(view.shading).flatten(0, 1).clamp(min=1e-6)
+    return torch.where(seen, cosine, 0.0)[:, None], values
 
 
 def _nearest_mirrored(positions: Tensor, known: Tensor, missing: Tensor) -> Tensor:

@@ -5,11 +5,17 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
+from samira_warp.kernels.cubemap.layout import texel_directions
 from samira_warp.light.environment import Environment
 from samira_warp.light.filtered import FilteredLight
+from samira_warp.light.harmonics import harmonics, mean_radiance
 
 _RADIANCE_MIN = 1e-4
 """Least initial radiance: softplus reaches 0 only at minus infinity."""
+
+_HARMONICS_FLOOR = 0.05
+"""Least initial radiance of a light that is given in harmonics, as a share of its mean. Nine of them ring
+below zero opposite to a lamp, where softplus would be too flat to learn from."""
 
 
 class LearnableLight(nn.Module):
@@ -36,12 +42,27 @@ class LearnableLight(nn.Module):
         """
         super().__init__()
         self.diffuse: nn.Parameter | None
-        # Inverse of softplus: log(exp(x) - 1), written so that it neither overflows nor cancels.
-        radiance = radiance.detach().to(torch.float32).clamp(min=_RADIANCE_MIN)
-        start = radiance + torch.log(-torch.expm1(-radiance))
+        start = _inverse_softplus(radiance)
         diffuse = None if tied else nn.Parameter(start.expand(6, diffuse_size, diffuse_size, 3).clone())
         self.register_parameter("diffuse", diffuse)
         self.specular = nn.Parameter(start.expand(6, specular_size, specular_size, 3).clone())
+
+    @classmethod
+    def from_harmonics(cls, light: Tensor, *, tied: bool = False) -> LearnableLight:
+        """Start as a light of spherical harmonics, the same in both maps.
+
+        Args:
+            light: (9, 3) coefficients of linear radiance (`samira_warp.light.harmonics`).
+            tied: As above.
+        """
+        mean = mean_radiance(light)
+        started = cls(mean, tied=tied)
+        with torch.no_grad():
+            for parameter in started.parameters():
+                directions = texel_directions(parameter.shape[1], device=light.device)
+                radiance = harmonics(directions) @ light
+                parameter.copy_(_inverse_softplus(radiance.maximum(_HARMONICS_FLOOR * mean)))
+        return started
 
     def radiance(self) -> tuple[Tensor, Tensor]:
         """The diffuse and the specular map, (6, S, S, 3) linear radiance; one and the same where tied."""
@@ -56,3 +77,9 @@ class LearnableLight(nn.Module):
         """The light as it is now, detached, to render with."""
         diffuse, specular = self.radiance()
         return Environment.from_cubemaps(diffuse.detach(), specular.detach())
+
+
+def _inverse_softplus(radiance: Tensor) -> Tensor:
+    """log(exp(x) - 1) of what is at least _RADIANCE_MIN, so that it neither overflows nor cancels."""
+    radiance = radiance.detach().to(torch.float32).clamp(min=_RADIANCE_MIN)
+    return radiance + torch.log(-torch.expm1(-radiance))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
 
 from samira_warp.avatar import CanonicalHead, Gaussians, conditions_of, geometry_uv
@@ -95,11 +97,15 @@ def initial_albedo(
     Unwrapped pseudo-albedo where the dataset has any, else the reference image.
     """
     with_albedo = [index for index in sequence.train if sequence.frames[index].albedo_path]
-    count = min(ALBEDO_VIEWS, len(with_albedo))
-    chosen = [with_albedo[place * len(with_albedo) // count] for place in range(count)]
-    views = [albedo_view(sequence, pixels, canonical, index) for index in chosen]
+    views = [albedo_view(sequence, pixels, canonical, index) for index in spread_out(with_albedo)]
     found = [view for view in views if view is not None]
     return unwrap_views(found, canonical) if found else reference
+
+
+def spread_out(indices: Sequence[int]) -> list[int]:
+    """ALBEDO_VIEWS of some frames, evenly spaced; all of them where they are fewer."""
+    count = min(ALBEDO_VIEWS, len(indices))
+    return [indices[place * len(indices) // count] for place in range(count)]
 
 
 @torch.no_grad()

@@ -13,6 +13,7 @@ from samira_warp.avatar import Avatar, Motion, Rendering
 from samira_warp.avatar.residual import POSITION_LIMIT
 from samira_warp.light import decode_srgb
 from samira_warp.train.config import Ablation
+from samira_warp.train.skin import mean_skin, skin_prior
 
 SSIM_WINDOW = 11
 """Pixels; Gaussian with sigma 1.5 (3DGS)."""
@@ -47,6 +48,10 @@ class LossWeights:
     (docs/measurements.md)."""
     response: float = 1e-3
     """Prior on the squared response logits: (albedo / c, c tau) looks the same until the light changes."""
+    skin: float = 0.1
+    """Prior on skin's mean albedo where no pseudo-albedo says what it is (`train.skin`). Twice too bright
+    costs a slope of 0.14 in its logarithm: more than the image's error weighs against it while the light
+    follows. Skin that is as skin was measured costs nothing."""
 
 
 def loss_weights(ablated: Collection[Ablation] = ()) -> LossWeights:
@@ -86,6 +91,7 @@ def total_loss(
     *,
     stage_two: bool,
     perceptual: Perceptual | None,
+    skin: torch.Tensor | None = None,
 ) -> dict[str, torch.Tensor]:
     """Every weighted term by name; the objective is their sum.
 
@@ -96,6 +102,7 @@ def total_loss(
         weights: The lambdas.
         stage_two: Normal and response terms are on.
         perceptual: LPIPS of two (H, W, 3) display images, or None when it is off.
+        skin: (F,) bool, faces of skin whose albedo is held to what was measured, or None where it is not.
     """
     prediction, truth = (image.permute(2, 0, 1)[None] for image in (rendering.image, target.image))
     terms = {
@@ -110,6 +117,8 @@ def total_loss(
         terms["lpips"] = weights.lpips * perceptual(rendering.image, target.image)
     if target.albedo is not None and target.mask is not None:
         terms["albedo"] = weights.albedo * albedo_loss(rendering.gbuffer.albedo, target.albedo, target.mask)
+    if skin is not None:
+        terms["skin"] = weights.skin * skin_prior(mean_skin(avatar.gaussians, skin))
     if stage_two:
         terms["normal_smoothness"] = weights.normal_smoothness * normal_smoothness(
             rendering.gbuffer.normal, rendering.gbuffer.alpha

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from samira_warp.data import TrackedSequence
+from samira_warp.data.pixels import unmatted_albedos
 from samira_warp.support.errors import UserError
 from samira_warp.train.begun import Begun
 from samira_warp.train.config import TrainConfig
@@ -23,11 +24,13 @@ class TrainPlan:
         sizes: Widths and heights of the training images, pixels: one for each shape of camera, the first
             frame's first.
         schedule: What happens when; its ``steps`` is the length of the run.
+        skin_prior: Whether skin is held to what was measured of skin: where no albedo is compared with.
     """
 
     settings: Settings
     sizes: tuple[tuple[int, int], ...]
     schedule: Schedule
+    skin_prior: bool
 
 
 def make_plan(
@@ -49,7 +52,15 @@ def make_plan(
         schedule = Schedule(min(settings.epochs * frames, settings.max_steps or settings.epochs * frames))
     else:
         schedule = _extended(begun, config, frames=frames, out=settings.out)
-    return TrainPlan(settings, image_sizes(sequence, settings.resolution), schedule)
+    # image values that are shaded as they are cannot be held to measurements of linear reflectance
+    skin_prior = settings.color_space == "srgb" and not has_pseudo_albedo(sequence)
+    return TrainPlan(settings, image_sizes(sequence, settings.resolution), schedule, skin_prior)
+
+
+def has_pseudo_albedo(sequence: TrackedSequence) -> bool:
+    """Whether any training frame has an albedo file that can be compared with."""
+    having = [frame for frame in (sequence.frames[index] for index in sequence.train) if frame.albedo_path]
+    return len(unmatted_albedos(having)) < len(having)
 
 
 def image_sizes(sequence: TrackedSequence, resolution: int) -> tuple[tuple[int, int], ...]:

@@ -10,12 +10,12 @@ from typing import Any
 from samira_warp.avatar import Avatar
 from samira_warp.check.opening import open_checked
 from samira_warp.data import PixelCache, TrackedSequence
-from samira_warp.data.pixels import unmatted_albedos
 from samira_warp.data.subjects import MadeSubject, made_subject
 from samira_warp.evaluate import Lpips, find_lpips
 from samira_warp.evaluate.config import LpipsNet
 from samira_warp.evaluate.lpips import SMALLEST_IMAGE
 from samira_warp.io.files import replace_file, replace_folder
+from samira_warp.train.announce import announce
 from samira_warp.train.begun import (
     AVATAR_FOLDER,
     CONFIG_FILE,
@@ -85,7 +85,7 @@ def _train(config: TrainConfig, out: Path) -> Path | None:
         trainer, record = _at_its_beginning(plan, sequence, pixels, facts, begun)
         if isinstance(lpips, Lpips):
             trainer.perceptual = lpips.to(settings.device)
-        _announce(plan, sequence, lpips, record["encoder"])
+        announce(plan, sequence, lpips, record["encoder"])
         replace_file(out / CONFIG_FILE, json.dumps(record, indent=1))
         if not _run_to_its_end(trainer, record):
             return None
@@ -178,44 +178,3 @@ def _finish(trainer: Trainer, lpips: Lpips | str, record: dict[str, Any]) -> Non
     replace_file(settings.out / RESULTS_FILE, json.dumps(results, indent=1))
     print(summary(results, settings), file=sys.stderr)
     print(json.dumps({name: value for name, value in results.items() if name not in ("frames", "protocol")}))
-
-
-def _announce(plan: TrainPlan, sequence: TrackedSequence, lpips: Lpips | str, encoder: str) -> None:
-    """Say what will be trained, and which optional parts are missing and why."""
-    frames = f"{len(sequence.train)} training and {len(sequence.test)} test frames"
-    lines = [f"{sequence.root.name}: {frames} on {plan.settings.device}", *sequence.notes]
-    resolution = plan.settings.resolution
-    smallest = min(
-        (frame.camera for frame in sequence.frames), key=lambda camera: max(camera.width, camera.height)
-    )
-    own = max(smallest.width, smallest.height)
-    if own < resolution:
-        enlarged = smallest.with_longer_side(resolution)
-        lines.append(
-            f"pictures of {smallest.width} x {smallest.height} pixels are enlarged to {enlarged.width} x "
-            f"{enlarged.height}, which adds no detail: --resolution {own} trains at their own size"
-        )
-    lines.append(f"image encoder: {encoder}")
-    if isinstance(lpips, str):
-        lines.append(f"no LPIPS term: {lpips}")
-    lines += _albedo_notes(plan, sequence)
-    print("\n".join(lines), file=sys.stderr)
-
-
-def _albedo_notes(plan: TrainPlan, sequence: TrackedSequence) -> list[str]:
-    """Which pseudo-albedo is not compared with, and what follows where none is."""
-    if "no-albedo" in plan.settings.ablate:
-        return []
-    frames = [sequence.frames[index] for index in sequence.train]
-    having = [frame for frame in frames if frame.albedo_path is not None]
-    unmatted = unmatted_albedos(having)
-    lines = []
-    if unmatted:
-        lines.append(
-            f"{len(unmatted)} of {len(having)} albedo files are not compared with, the first is "
-            f"{unmatted[0].albedo_path}: their frames have neither a mask nor an alpha channel, and albedo "
-            "is compared inside a matte alone"
-        )
-    if len(unmatted) == len(having):
-        lines.append("no pseudo-albedo: the absolute brightness of a relit image is undefined")
-    return lines

@@ -8,8 +8,10 @@ import torch
 
 from samira_warp.avatar import Avatar, CanonicalHead
 from samira_warp.data import PixelCache, TrackedSequence
+from samira_warp.data.appearance import TrackedAppearance
 from samira_warp.light import LearnableLight, decode_srgb
 from samira_warp.nets import encode_reference
+from samira_warp.train.appearance import initial_appearance
 from samira_warp.train.initialize import (
     choose_reference,
     condition_statistics,
@@ -67,8 +69,7 @@ def start(plan: TrainPlan, sequence: TrackedSequence, pixels: PixelCache) -> Sta
     features, encoder = encode_reference(
         view.image if settings.reference == "screen" else unwrapped, encoder=settings.encoder
     )
-    decode = decode_srgb if settings.color_space == "srgb" else torch.clone
-    appearance, albedo = decode(unwrapped), decode(initial_albedo(sequence, pixels, canonical, unwrapped))
+    albedo, light = _albedo_and_light(plan, sequence, pixels, canonical, index, unwrapped)
     gaussians = initial_gaussians(
         canonical,
         count=settings.gaussians,
@@ -77,7 +78,6 @@ def start(plan: TrainPlan, sequence: TrackedSequence, pixels: PixelCache) -> Sta
         smooth_normals=settings.normals == "vertex",
         generator=generator,
     )
-    light = LearnableLight(_mean_light(appearance, albedo, canonical), tied=settings.tie_light)
     avatar = Avatar(
         canonical,
         settings.avatar,
@@ -87,6 +87,37 @@ def start(plan: TrainPlan, sequence: TrackedSequence, pixels: PixelCache) -> Sta
         light=light,
     )
     return Start(avatar.to(settings.device), sequence.frames[index].name, encoder)
+
+
+def tracked_start(plan: TrainPlan, sequence: TrackedSequence) -> TrackedAppearance | None:
+    """The tracker's albedo and light where a run starts from them.
+
+    It starts from albedo files where there are any, and from the picture where that is shaded as it is.
+    """
+    files = any(sequence.frames[index].albedo_path for index in sequence.train)
+    return None if files or plan.settings.color_space != "srgb" else sequence.appearance
+
+
+def _albedo_and_light(
+    plan: TrainPlan,
+    sequence: TrackedSequence,
+    pixels: PixelCache,
+    canonical: CanonicalHead,
+    reference: int,
+    unwrapped: torch.Tensor,
+) -> tuple[torch.Tensor, LearnableLight]:
+    """(h, w, 3) albedo texture as it is shaded, and the light.
+
+    They are the tracker's where it left any and there are no albedo files; else albedo is that of files, or
+    the reference image, (h, w, 3) ``unwrapped``, and the light is uniform.
+    """
+    settings, tracked = plan.settings, tracked_start(plan, sequence)
+    if tracked is not None:
+        started = initial_appearance(sequence, pixels, canonical, tracked, reference=reference)
+        return started.albedo, LearnableLight.from_harmonics(started.light, tied=settings.tie_light)
+    decode = decode_srgb if settings.color_space == "srgb" else torch.clone
+    appearance, albedo = decode(unwrapped), decode(initial_albedo(sequence, pixels, canonical, unwrapped))
+    return albedo, LearnableLight(_mean_light(appearance, albedo, canonical), tied=settings.tie_light)
 
 
 def _mean_light(appearance: torch.Tensor, albedo: torch.Tensor, canonical: CanonicalHead) -> torch.Tensor:

@@ -21,6 +21,7 @@ from samira_warp.train.log import RunLog
 from samira_warp.train.losses import Target, linear_albedo, loss_weights, total_loss
 from samira_warp.train.optimizer import make_optimizer, replace_gaussians, reset_moments, set_rates
 from samira_warp.train.plan import TrainPlan
+from samira_warp.train.skin import skin_faces
 from samira_warp.train.tracking import TrackedParameters
 
 PREFETCH = 8
@@ -46,6 +47,7 @@ class Trainer:
         self.weights = loss_weights(plan.settings.ablate)
         self.perceptual: Lpips | None = None
         self.device = torch.device(plan.settings.device)
+        self.skin = _held_skin(plan, sequence, self.device)
         self.tracked = TrackedParameters(sequence.batch(sequence.train)).to(self.device)
         self.optimizer = make_optimizer(avatar, self.tracked)
         self.density = DensityStatistics(len(avatar.gaussians), self.device)
@@ -104,7 +106,13 @@ class Trainer:
             self.perceptual if self.schedule.perceptual_on(self.step) and self._perceptual_turn() else None
         )
         terms = total_loss(
-            rendering, target, self.avatar, self.weights, stage_two=stage_two, perceptual=perceptual
+            rendering,
+            target,
+            self.avatar,
+            self.weights,
+            stage_two=stage_two,
+            perceptual=perceptual,
+            skin=self.skin,
         )
         self.optimizer.zero_grad(set_to_none=True)
         torch.stack(list(terms.values())).sum().backward()
@@ -185,3 +193,9 @@ class Trainer:
             atlas=canonical.atlas,
         )
         self.avatar.set_gaussians(gaussians)
+
+
+def _held_skin(plan: TrainPlan, sequence: TrackedSequence, device: torch.device) -> torch.Tensor | None:
+    """(F,) faces of skin that is held to what was measured; None where none is."""
+    faces = skin_faces(sequence.template)
+    return torch.from_numpy(faces).to(device) if plan.skin_prior and faces.any() else None
