@@ -44,10 +44,10 @@ class Range(NamedTuple):
 SKIN_LUMINANCE = Range(0.041, 0.50)
 """Of linear albedo: L* from 24 to 76."""
 
-SKIN_GREEN = Range(0.30, 0.77)
+SKIN_GREEN = Range(0.29, 0.77)
 """Green over red of linear albedo: from that of (41.5, 25.5, 13.3) to that of (76, 5.6, 9.4)."""
 
-SKIN_BLUE = Range(0.53, 0.92)
+SKIN_BLUE = Range(0.53, 0.93)
 """Blue over green of linear albedo: from that of (44, 14, 21) to that of (41.5, 25.5, 13.3)."""
 
 

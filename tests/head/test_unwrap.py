@@ -126,3 +126,33 @@ def test_views_are_averaged():
     dark, bright = (view_of(canonical, torch.full((SIZE, SIZE, 3), value)) for value in (0.2, 0.6))
     texture = unwrapped([dark, bright], canonical)
     torch.testing.assert_close(texture, torch.full_like(texture, 0.4))
+
+
+def test_shading_is_taken_off_what_it_shades():
+    canonical = small_canonical()
+    shading = 0.5 + torch.rand(len(canonical.vertices), 3, generator=torch.Generator().manual_seed(1))
+    plain, shaded = view_of(canonical, torch.full((SIZE, SIZE, 3), 0.4)), torch.full((SIZE, SIZE, 3), 0.4)
+    found = unwrapped([plain._replace(image=shaded, shading=shading)], canonical)
+    _, cosine = projected(canonical)
+    seen = skin(canonical) & (cosine > GRAZING_COSINE)
+    expected = 0.4 / canonical.atlas.positions(shading)
+    # float32 sums of weights of about one
+    torch.testing.assert_close(found[seen], expected[seen], rtol=1e-5, atol=0)
+    assert found.isfinite().all()
+
+
+def test_what_no_view_sees_is_what_else_is_known():
+    canonical = small_canonical()
+    values = torch.rand(len(canonical.vertices), 3, generator=torch.Generator().manual_seed(2))
+    found = unwrap(
+        [view_of(canonical, torch.full((SIZE, SIZE, 3), 2.0))],
+        atlas=canonical.atlas,
+        vertices=canonical.vertices,
+        faces=canonical.topology.faces,
+        otherwise=values,
+    )
+    _, cosine = projected(canonical)
+    away = canonical.atlas.valid & (cosine < 0)
+    assert away.any()
+    torch.testing.assert_close(found[away], canonical.atlas.positions(values)[away])
+    assert (found[skin(canonical) & (cosine > GRAZING_COSINE)] == 2.0).float().mean() > 0.95
