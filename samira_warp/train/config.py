@@ -85,13 +85,13 @@ class TrainConfig:
     """
 
     data: Asked[Path] = None
-    """Dataset folder: a VHAP export or any other format that samira_warp.check knows; default the built-in
-    subject."""
+    """Dataset folder: a VHAP export or any other format that samira_warp.check knows; or a video file, which
+    is prepared first, in OUT/prepared; default the built-in subject."""
     flame: Asked[Path] = None
     """FLAME's file (.pkl or .npz, with its UV coordinates and masks beside it), or a template.npz, for a
     dataset without one."""
     out: Asked[Path] = None
-    """Run folder; default runs/ and the name of the dataset's folder, or runs/built_in."""
+    """Run folder; default runs/ and the name of the dataset's folder or of the video, or runs/built_in."""
     preset: Asked[PresetName] = None
     """Sizes: cpu (256 x 256, UV 128) or paper (512 x 512, UV 256); default cpu where there is no GPU."""
     epochs: Asked[int] = None

@@ -10,7 +10,6 @@ from typing import Any
 from samira_warp.avatar import Avatar
 from samira_warp.check.opening import open_checked
 from samira_warp.data import PixelCache, TrackedSequence
-from samira_warp.data.subjects import MadeSubject, made_subject
 from samira_warp.evaluate import Lpips, find_lpips
 from samira_warp.evaluate.config import LpipsNet
 from samira_warp.evaluate.lpips import SMALLEST_IMAGE
@@ -31,6 +30,7 @@ from samira_warp.train.plan import TrainPlan, check_size, make_plan
 from samira_warp.train.results import score, summary, write_result
 from samira_warp.train.settings import LENGTH, check_config, resolve
 from samira_warp.train.setup import PIXEL_CACHE_BYTES, start
+from samira_warp.train.source import find_source
 from samira_warp.train.trainer import Trainer
 
 TRAINING_LPIPS: dict[PresetName, LpipsNet] = {"cpu": "alex", "paper": "vgg"}
@@ -43,35 +43,40 @@ def train(config: TrainConfig) -> Path | None:
     """Train an avatar, write its run folder and score it on the test frames.
 
     Everything that can be checked without decoding images is checked before anything is written to the run
-    folder; what can be checked without a dataset, before the built-in subject is made, where ``data`` is None
-    and it is not there yet.
+    folder; what can be checked without a dataset, before one is made: of the video that ``data`` is, or the
+    built-in subject's, where ``data`` is None and it is not there yet.
 
     Returns:
         The run folder, or None when Ctrl-C ended the run early (a checkpoint was saved).
 
     Raises:
-        UserError: The configuration, the dataset or the run folder cannot be used, another training is at
-            work there, or the built-in subject cannot be kept.
+        UserError: The configuration, the dataset, the video or the run folder cannot be used, another
+            training is at work there, or the built-in subject cannot be kept.
     """
     check_config(config)
-    name = "built_in" if config.data is None else config.data.resolve().name
-    out = config.out or Path("runs") / name
+    out = config.out or Path("runs") / _name(config.data)
     with claimed(out):
         return _train(config, out)
+
+
+def _name(data: Path | None) -> str:
+    """What a run is called after: a dataset's folder, or a video without its suffix."""
+    if data is None:
+        return "built_in"
+    return data.stem if data.is_file() else data.resolve().name
 
 
 def _train(config: TrainConfig, out: Path) -> Path | None:
     """The run, in its folder."""
     begun = find_begun(out, resume=config.resume)
-    data, made = _dataset(config, begun)
-    settings = resolve(config, data=data, out=out, begun=None if begun is None else begun.settings)
+    source = find_source(config.data, begun, out=out)
+    settings = resolve(config, data=source.folder, out=out, begun=None if begun is None else begun.settings)
     check_size((settings.resolution, settings.resolution), resolution=settings.resolution)
     lpips = find_lpips(TRAINING_LPIPS[settings.preset], settings.lpips_weights)
     if config.resume and (begun is None or begun.checkpoint is None):
         print(f"no checkpoint in {out} yet: starting from the beginning", file=sys.stderr)
-    if made is not None:
-        print(f"no --data: the built-in subject, in {data}", file=sys.stderr)
-        made.dataset()
+    if source.make is not None:
+        source.make()
     sequence = open_checked(settings.data, split=settings.split, flame=settings.flame)
     plan = make_plan(settings, sequence, config, begun=begun)
     smallest = min(plan.sizes, key=min)
@@ -105,22 +110,6 @@ def _at_its_beginning(
     trainer.resume(begun.checkpoint)
     say_other_bits(begun, facts)
     return trainer, _going_on(begun, facts)
-
-
-def _dataset(config: TrainConfig, begun: Begun | None) -> tuple[Path, MadeSubject | None]:
-    """The dataset's folder, and who makes it if it is the built-in subject's.
-
-    It is the one asked for, else the one that the run was begun with, else the built-in subject's. That may
-    be kept elsewhere by now, or have to be made again.
-    """
-    if config.data is not None:
-        return config.data, None
-    recorded = None if begun is None else begun.settings["data"]
-    if recorded is not None and recorded.exists():
-        return recorded, None
-    built_in = made_subject()
-    folder = built_in.folder()
-    return (folder, built_in) if recorded is None or recorded.name == folder.name else (recorded, None)
 
 
 def _going_on(begun: Begun, facts: dict[str, Any]) -> dict[str, Any]:

@@ -202,8 +202,8 @@ def film(folder):
 
 NOT_DATASETS = {
     "nothing": (lambda path: path, "no such folder"),
-    "a file": (lambda path: path.write_text("hello") and path, "a file"),
-    "a video": (lambda path: film(path) / "me.MP4", "python -m samira_warp.prepare {data} --out DIR"),
+    "a file": (lambda path: path.write_text("hello") and path, "Invalid data"),
+    "a video that is none": (lambda path: film(path) / "me.MP4", "Invalid data"),
     "an empty folder": (lambda path: path.mkdir() or path, "an empty folder"),
     "a folder of videos": (film, "python -m samira_warp.prepare {data}/me.MP4 --out DIR"),
 }

@@ -157,7 +157,7 @@ def test_skin_that_starts_too_bright_or_dark_comes_back(unlit, tmp_path, monkeyp
         for _ in range(steps):
             trainer.train_step()
         after = skin_luminance(trainer)
-    # a quarter beyond, the prior's slope is 0.2 log 1.25 = 0.04: a pull that pictures still have while they learn
+    # a quarter beyond, the prior's slope is 0.2 log 1.25 = 0.04: pictures pull so while they are learnt
     assert SKIN_LUMINANCE.low / 1.25 < after < SKIN_LUMINANCE.high * 1.25
     assert abs(np.log(after / before)) > 0.4
 
