@@ -12,6 +12,9 @@ from samira_warp.support.device_names import DeviceName
 from samira_warp.support.errors import UserError
 from samira_warp.support.image_size import check_side
 
+USUAL_RATE = 25.0
+"""Frames a second: faces move little between them, and a minute is 1,500 to track."""
+
 
 @dataclass(frozen=True)
 class PrepareConfig:
@@ -28,7 +31,7 @@ class PrepareConfig:
     """Folder of everything that is made."""
     size: int = 512
     """Side of the square frames, pixels; smaller where the crop is."""
-    fps: float | None = 25.0
+    fps: float | None = USUAL_RATE
     """Frames to take of a second, where the video has more."""
     crop: str | None = None
     """Square of the video to keep, X,Y,SIDE in pixels from its upper left; default one about the head."""

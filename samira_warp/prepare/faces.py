@@ -97,7 +97,7 @@ def choose_frames(video: Path, track: FaceTrack, *, rate: float) -> Chosen:
         rate: Frames a second.
 
     Raises:
-        UserError: There is hardly a face to be seen, or it never moves.
+        UserError: There is hardly a face to be seen.
     """
     cuts = find_cuts(track.colours, track.landmarks)
     part = longest_continuous(track.person, cuts)

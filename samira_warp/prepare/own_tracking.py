@@ -30,6 +30,9 @@ from samira_warp.vision.openness import read_openness
 FIT_FILE, FACTS_FILE, CURVES_FILE, MESH_FILE = "fit.npz", "tracking.json", "curves.png", "mesh.mp4"
 """What lies in the tracking's folder."""
 
+AT_ONCE = 8
+"""Frames that are posed and drawn together."""
+
 
 @dataclass(frozen=True)
 class Filmed:
@@ -141,9 +144,7 @@ def _facts(filmed: Filmed, tracking: Tracking) -> dict[str, Any]:
     """What tracking.json says."""
 
     def by_frame(errors: torch.Tensor) -> list[float | None]:
-        found = np.nanmedian(np.where(np.isnan(errors.numpy()).all(axis=1, keepdims=True), 0, errors), axis=1)
-        seen = ~np.isnan(errors.numpy()).all(axis=1)
-        return [round(float(value), 3) if known else None for value, known in zip(found, seen, strict=True)]
+        return [None if np.isnan(value) else round(float(value), 3) for value in _by_frame(errors)]
 
     stages = {"landmarks": tracking.by_landmarks, "pixels": tracking.errors}
     return {
@@ -163,6 +164,15 @@ def _facts(filmed: Filmed, tracking: Tracking) -> dict[str, Any]:
     }
 
 
+def _by_frame(errors: torch.Tensor) -> np.ndarray:
+    """(N,) median of each frame's errors, NaN where no landmark was seen."""
+    values = errors.numpy()
+    found = np.full(len(values), np.nan)
+    seen = ~np.isnan(values).all(axis=1)
+    found[seen] = np.nanmedian(values[seen], axis=1)
+    return found
+
+
 def _draw(template: HeadTemplate, filmed: Filmed, faces: FaceTrack, tracking: Tracking, folder: Path) -> None:
     """Curves over time, and the mesh over the film."""
     parameters, openness = tracking.parameters, read_openness(faces)
@@ -178,8 +188,8 @@ def _draw(template: HeadTemplate, filmed: Filmed, faces: FaceTrack, tracking: Tr
             "mouth": openness.mouth,
         },
         error={
-            "landmarks": np.nanmean(tracking.by_landmarks.numpy(), axis=1),
-            "pixels": np.nanmean(tracking.errors.numpy(), axis=1),
+            "landmarks": _by_frame(tracking.by_landmarks),
+            "pixels": _by_frame(tracking.errors),
         },
     )
     rig = Rig.build(template)
@@ -188,11 +198,16 @@ def _draw(template: HeadTemplate, filmed: Filmed, faces: FaceTrack, tracking: Tr
         for path in filmed.pictures:
             yield to_uint8(read_image(path, channels=3))
 
-    head = rig.pose(parameters, tracking.shape, tracking.static_offset)
+    def vertices() -> Iterator[torch.Tensor]:
+        for first in range(0, len(filmed.pictures), AT_ONCE):
+            some = parameters[first : first + AT_ONCE]
+            head = rig.pose(some, tracking.shape, tracking.static_offset)
+            yield filmed.view.in_camera(head.vertices)
+
     write_mesh_video(
         folder / MESH_FILE,
         pictures(),
-        filmed.view.in_camera(head.vertices),
+        vertices(),
         MeshTopology.build(torch.from_numpy(template.faces.copy()), len(template.v_template)),
         camera_of(filmed.view, tracking.focal),
         frames_per_second=filmed.rate,

@@ -28,7 +28,7 @@ from samira_warp.head.models import missing_landmarks, read_head
 from samira_warp.io.files import replace_folder
 from samira_warp.io.images import image_size, write_png
 from samira_warp.prepare import albedo, matting, tracking
-from samira_warp.prepare.config import PrepareConfig
+from samira_warp.prepare.config import USUAL_RATE, PrepareConfig
 from samira_warp.prepare.crop import Box, Crop, crop_around, find_head, middle, parse_crop
 from samira_warp.prepare.cutting import write_cut_mattes
 from samira_warp.prepare.export import export
@@ -90,7 +90,7 @@ def prepare(config: PrepareConfig) -> Path:
     config.out.mkdir(parents=True, exist_ok=True)
     cropped = preparation.crop(wanted)
     frames = preparation.frames(cropped)
-    if vhap is not None:
+    if vhap is not None or preparation.keeps_vhaps():
         mattes = preparation.mattes(frames, None)
         exported = preparation.export_vhap(preparation.track_vhap(mattes, vhap), vhap)
     else:
@@ -109,6 +109,19 @@ class _Preparation:
         self.images, self.alpha_maps = self.root / "film" / "images", self.root / "film" / "alpha_maps"
         self.faces_file = self.root / "film" / "faces.npz"
         self._matte: matting.Matte | str | None = None
+
+    def keeps_vhaps(self) -> bool:
+        """Whether VHAP has tracked here, and nothing asks for another tracking.
+
+        Raises:
+            UserError: Another head is asked for, which VHAP does not track.
+        """
+        if not self._keeps_tracking() or "head" in self._finished("tracking").inputs:
+            return False
+        if self.config.head is not None:
+            expected = f"none where VHAP has made {self.root / 'tracking'}, or --restart"
+            raise UserError("--head", expected=expected, found=self.config.head)
+        return True
 
     def check_video(self) -> None:
         """Refuse to put another video's frames in the place of one's that was prepared here."""
@@ -139,9 +152,11 @@ class _Preparation:
 
     def frames(self, cropped: Stage) -> Stage:
         """Write the frames."""
-        stage = self._stage("frames", crop=cropped.key(), size=self.config.size, fps=self.config.fps)
+        inputs = {"crop": cropped.key(), "size": self.config.size, "fps": self.config.fps}
+        stage = self._all_frames_of_an_earlier_version(inputs) or self._stage("frames", **inputs)
         found = stage.done()
-        if found is None or found["count"] != len(pictures_of(self.images)):
+        whole = found is not None and found["count"] == len(pictures_of(self.images))
+        if found is None or not whole or ("rate" not in found and not self._keeps_tracking()):
             self._begin(stage, self.root / "film")
             written = write_frames(
                 self.config.video,
@@ -224,24 +239,26 @@ class _Preparation:
             stage.finish({})
         return stage
 
-    def track_vhap(self, mattes: Stage, vhap: tracking.Vhap) -> Stage:
-        """Have VHAP track the film."""
+    def track_vhap(self, mattes: Stage, vhap: tracking.Vhap | None) -> Stage:
+        """Have VHAP track the film; None where it has, and need not again."""
         stage, folder = self._stage("tracking", mattes=mattes.key()), self.root / "tracking"
         if stage.done(folder) is None:
             log = self.root / "tracking.log"
             self._begin(stage, folder)
-            replace_folder(folder, lambda fresh: tracking.track(vhap, self.root / "film", fresh, log=log))
+            called = _needed(vhap, "tracked")
+            replace_folder(folder, lambda fresh: tracking.track(called, self.root / "film", fresh, log=log))
             stage.finish({})
         return stage
 
-    def export_vhap(self, tracked: Stage, vhap: tracking.Vhap) -> Stage:
-        """Have VHAP export what it tracked."""
+    def export_vhap(self, tracked: Stage, vhap: tracking.Vhap | None) -> Stage:
+        """Have VHAP export what it tracked; None where it has."""
         stage, folder = self._stage("dataset", tracking=tracked.key()), self.root / "dataset"
         if stage.done(folder) is None:
             log = self.root / "dataset.log"
+            called = _needed(vhap, "exported")
             self._begin(stage, folder)
             replace_folder(
-                folder, lambda fresh: tracking.export(vhap, self.root / "tracking", fresh, log=log)
+                folder, lambda fresh: tracking.export(called, self.root / "tracking", fresh, log=log)
             )
             stage.finish({})
         return stage
@@ -334,7 +351,16 @@ class _Preparation:
 
     def _may_look_again(self) -> bool:
         """Whether the head can be looked for where it could not before, and nothing hangs on the square."""
-        return not self._has_mattes() and not self._keeps_tracking() and self._network() is not None
+        if self._keeps_tracking():
+            return False
+        return self.config.vhap is None or (not self._has_mattes() and self._network() is not None)
+
+    def _all_frames_of_an_earlier_version(self, inputs: dict[str, Any]) -> Stage | None:
+        """Frames that were tracked before --fps had a default, where it is left out now as it was then."""
+        stage = self._stage("frames", **{**inputs, "fps": None})
+        found = stage.done()
+        theirs = found is not None and "rate" not in found
+        return stage if theirs and self.config.fps == USUAL_RATE and self._keeps_tracking() else None
 
     def _keeps_tracking(self) -> bool:
         """Whether there is a tracking, and nothing was said of making it anew."""
@@ -419,6 +445,18 @@ def _left_out(chosen: Chosen) -> str:
         f"{len(numbers)} for '{reason}', the first is {numbers[0]}" for reason, numbers in reasons.items()
     ]
     return f"{len(chosen.left_out)} frames are left out: {'; '.join(parts)}"
+
+
+def _needed(vhap: tracking.Vhap | None, what: str) -> tracking.Vhap:
+    """VHAP.
+
+    Raises:
+        UserError: It was not given.
+    """
+    if vhap is None:
+        expected = "VHAP's folder, which tracked this film, or --restart to have it tracked without"
+        raise UserError("--vhap", expected=expected, found=f"none, and the film has to be {what} by it")
+    return vhap
 
 
 def _say(text: str) -> None:

@@ -57,22 +57,6 @@ def given_vhap(folder: Path, python: str) -> Vhap:
     return Vhap(folder.resolve(), words)
 
 
-def installed_vhap(python: str) -> Vhap | None:
-    """VHAP where its Python imports it from, as ``pip install -e`` leaves it; None where there is none.
-
-    Raises:
-        UserError: The Python is no command line.
-    """
-    words = _command(python)
-    if shutil.which(words[0]) is None:
-        return None
-    question = [*words, "-c", "import vhap; print(next(iter(vhap.__path__)))"]
-    asked = subprocess.run(question, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False)
-    said = asked.stdout.split("\n") if asked.returncode == 0 else []
-    folder = next((Path(line).parent for line in said if (Path(line).parent / TRACK).is_file()), None)
-    return None if folder is None else Vhap(folder.resolve(), words)
-
-
 def _command(text: str) -> tuple[str, ...]:
     try:
         words = tuple(shlex.split(text))

@@ -21,6 +21,9 @@ Time tells, the number of pictures does not: trimmed files count the ones that a
 of uneven rate count empty slots.
 """
 
+STILLS = ("image2", "ico")
+"""What FFmpeg calls files of single pictures, besides those whose name ends in ``_pipe``."""
+
 
 @dataclass(frozen=True)
 class VideoFacts:
@@ -45,6 +48,9 @@ def read_facts(path: Path) -> VideoFacts:
     Raises:
         UserError: The file is missing, is no video, or nothing in it can be decoded.
     """
+    with _open(path) as container:
+        if container.format.name in STILLS or container.format.name.endswith("_pipe"):
+            raise UserError(path, expected="a video", found="a picture, in which nothing moves")
     picture = next(read_pictures(path), None)
     if picture is None:
         raise UserError(path, expected="a video", found="no picture in it")

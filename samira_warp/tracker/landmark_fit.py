@@ -13,7 +13,7 @@ from torch import Tensor
 from samira_warp.head.landmarks import LANDMARKS, MESH_LANDMARKS, LandmarkEmbedding
 from samira_warp.tracker.faces import GAPS
 from samira_warp.tracker.first_pose import first_pose
-from samira_warp.tracker.landmark_terms import SPREAD, GapTerm, LandmarkTerm, pose
+from samira_warp.tracker.landmark_terms import SPREAD, GapTerm, LandmarkTerm, chunks, pose
 from samira_warp.tracker.observed import Landmarks, View
 from samira_warp.tracker.priors import frame_terms, subject_term
 from samira_warp.tracker.subject import TrackedHead
@@ -197,8 +197,8 @@ def key_frames(landmarks: Landmarks, count: int) -> Tensor:
 
 def landmark_errors(model: LandmarkModel, unknowns: Unknowns, landmarks: Landmarks, view: View) -> Tensor:
     """(N, L) distances in pixels between landmarks and their points on the head; NaN where not seen."""
-    placed = pose(model.points, unknowns, slice(None)).points
-    pixels = view.project(view.in_camera(placed), unknowns.focal)
+    parts = [pose(model.points, unknowns, rows).points for rows in chunks(len(unknowns.frames))]
+    pixels = view.project(view.in_camera(torch.cat(parts)), unknowns.focal)
     errors = (pixels - landmarks.points[:, model.ids]).norm(dim=-1)
     return torch.where(landmarks.seen[:, model.ids] > 0, errors, torch.nan)
 

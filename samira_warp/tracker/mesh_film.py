@@ -28,14 +28,12 @@ _AMBIENT = 0.25
 """Share of the brightness that has no direction."""
 
 _DETECTED = (255, 210, 0)
-_AT_ONCE = 8
-"""Frames that are drawn together."""
 
 
 def write_mesh_video(
     path: Path,
     pictures: Iterable[np.ndarray],
-    vertices: Tensor,
+    vertices: Iterable[Tensor],
     topology: MeshTopology,
     camera: Camera,
     *,
@@ -47,7 +45,8 @@ def write_mesh_video(
     Args:
         path: Where to write it, an .mp4.
         pictures: N pictures (H, W, 3) uint8 of the camera's size; they are taken one by one.
-        vertices: (N, V, 3) float32 in camera space: x to the right, y down, z forward, metres.
+        vertices: (n, V, 3) float32 in camera space, of the next n frames each: x to the right, y down, z
+            forward, metres. They are taken one by one, and drawn together: a few at once are enough.
         topology: The mesh, on the same device.
         camera: What focal length, centre and size are taken from; its place is not.
         frames_per_second: Of the film.
@@ -57,11 +56,13 @@ def write_mesh_video(
         UserError: ``vertices`` has another shape than the topology needs, or a picture is too small for a
             film.
     """
-    check_tensor("vertices", vertices, shape=("N", topology.vertex_count, 3), device=topology.faces.device)
-    waiting = iter(pictures)
+    waiting, begin = iter(pictures), 0
     with whole_file(path) as fresh, VideoWriter(fresh, frames_per_second=frames_per_second) as film:
-        for begin in range(0, len(vertices), _AT_ONCE):
-            layers = mesh_layers(vertices[begin : begin + _AT_ONCE], topology, camera).cpu().numpy()
+        for some in vertices:
+            check_tensor(
+                "vertices", some, shape=("N", topology.vertex_count, 3), device=topology.faces.device
+            )
+            layers = mesh_layers(some, topology, camera).cpu().numpy()
             for index, (layer, picture) in enumerate(
                 zip(layers, islice(waiting, len(layers)), strict=True), start=begin
             ):
@@ -70,6 +71,7 @@ def write_mesh_video(
                     radius = max(max(camera.width, camera.height) / 400.0, 1.0)
                     shown = draw_dots(shown, landmarks[index], _DETECTED, radius=radius)
                 film.add(to_uint8(shown))
+            begin += len(some)
 
 
 @torch.no_grad()

@@ -9,11 +9,11 @@ import torch
 from torch import Tensor
 
 from samira_warp.head.parameters import FrameParameters
-from samira_warp.head.smooth_basis import smooth_basis
 from samira_warp.head.template import HeadTemplate
 from samira_warp.support.errors import UserError
 from samira_warp.tracker.color_fit import SIDE, fit_colors, know, observe
 from samira_warp.tracker.film import Film
+from samira_warp.tracker.kept_basis import kept_basis
 from samira_warp.tracker.landmark_fit import (
     LandmarkModel,
     Started,
@@ -78,7 +78,7 @@ def track(
     """
     if template.landmarks is None:
         raise UserError("head", expected="a head with landmarks (docs/heads.md says how)", found="none on it")
-    basis = smooth_basis(template, FUNCTIONS + 1)
+    basis = kept_basis(template, FUNCTIONS + 1)
     head = TrackedHead.build(
         template, basis=basis.vectors[:, 1:], eigenvalues=basis.eigenvalues[1:] / basis.eigenvalues[1]
     )

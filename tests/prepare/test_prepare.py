@@ -172,29 +172,23 @@ def test_what_is_done_is_skipped(video, vhap, network, tmp_path):
     assert network.asked == asked
 
 
-def test_without_vhap_all_before_it_is_made_and_it_is_named(video, vhap, network, tmp_path, capsys):
-    arguments = (video, "--out", tmp_path / "out")
-    message = refusal(capsys, *arguments)
-    assert "git clone https://github.com/ShenhanQian/VHAP" in message
-    assert "--vhap" in message
-    assert (
-        len(list((tmp_path / "out/film/images").iterdir()))
-        == len(list((tmp_path / "out/film/alpha_maps").iterdir()))
-        == 12
-    )
-    before = times(tmp_path / "out" / "film")
-    assert prepare(*arguments, *vhap_options(vhap)) == 0
-    assert times(tmp_path / "out" / "film") == before
-    # once tracked, it is not asked for again
-    assert prepare(*arguments) == 0
-
-
-def test_vhap_is_found_where_its_python_has_it(video, vhap, network, tmp_path, monkeypatch):
-    monkeypatch.setenv("PYTHONPATH", str(vhap))
-    assert prepare(video, "--out", tmp_path / "out", *CROP, "--vhap-python", f"'{sys.executable}' -u") == 0
-    monkeypatch.delenv("PYTHONPATH")
-    assert tracking.installed_vhap(sys.executable) is None
-    assert tracking.installed_vhap("no-such-python") is None
+def test_what_vhap_has_tracked_stays_without_it(video, vhap, network, tmp_path, capsys):
+    """A folder in which VHAP tracked is not tracked anew because the option is left out."""
+    out = tmp_path / "out"
+    assert prepare(video, "--out", out, *vhap_options(vhap), *CROP) == 0
+    before = times(out)
+    assert prepare(video, "--out", out) == 0
+    assert times(out) == before
+    message = refusal(capsys, video, "--out", out, "--head", tmp_path / "head.npz")
+    assert "--head: expected none where VHAP has made" in message
+    assert times(out) == before
+    tracked = times(out / "tracking")
+    shutil.rmtree(out / "dataset")
+    message = refusal(capsys, video, "--out", out)
+    assert "--vhap: expected VHAP's folder" in message
+    assert "exported" in message
+    assert prepare(video, "--out", out, *vhap_options(vhap)) == 0
+    assert times(out / "tracking") == tracked
 
 
 def test_without_matting_the_middle_is_kept_and_it_is_named(
@@ -314,7 +308,7 @@ def test_another_video_is_told_by_its_content(video, vhap, network, tmp_path, ca
 
 
 def test_a_folder_of_an_earlier_version_goes_on(video, vhap, network, tmp_path):
-    """Markers told a video by name, size and time."""
+    """Markers told a video by name, size and time; all frames were taken, and nobody asked for their rate."""
     out, arguments = tmp_path / "out", (*vhap_options(vhap), *CROP)
     assert prepare(video, "--out", out, *arguments) == 0
     marker = json.loads((out / "stages" / "crop.json").read_text())
@@ -322,6 +316,13 @@ def test_a_folder_of_an_earlier_version_goes_on(video, vhap, network, tmp_path):
     marker["inputs"]["video"] = [video.name, video.stat().st_size, 12345]
     (out / "stages" / "crop.json").write_text(json.dumps(marker))
     (out / "tracking" / "kept").touch()
+    frames_marker = json.loads((out / "stages" / "frames.json").read_text())
+    assert frames_marker["inputs"]["fps"] == 25.0
+    assert frames_marker["result"] == {"count": 12, "rate": pytest.approx(25.0, rel=1e-3)}
+    frames_marker["inputs"]["fps"] = None
+    del frames_marker["result"]["rate"]
+    (out / "stages" / "frames.json").write_text(json.dumps(frames_marker))
+    assert not (out / "stages" / "faces.json").exists()
     # what followed was keyed by the old marker, as it was then
     for later, before in (
         ("frames", "crop"),
@@ -333,7 +334,10 @@ def test_a_folder_of_an_earlier_version_goes_on(video, vhap, network, tmp_path):
         parent = json.loads((out / "stages" / f"{before}.json").read_text())
         record["inputs"][before] = Stage(out, before, parent["inputs"]).key()
         (out / "stages" / f"{later}.json").write_text(json.dumps(record))
+    before = times(out)
     assert prepare(video, "--out", out, *arguments) == 0
+    assert prepare(video, "--out", out) == 0
+    assert times(out) == before
     assert (out / "tracking" / "kept").is_file()
 
 
@@ -473,13 +477,16 @@ def test_a_folder_of_other_things_is_left_alone(video, network, tmp_path, capsys
     assert "found a file" in refusal(capsys, video, "--out", video)
 
 
-def test_a_video_without_anybody_is_refused(video, network, tmp_path, capsys, monkeypatch):
+def test_a_video_without_anybody_in_its_mattes_is_refused(
+    video, vhap, network, tmp_path, capsys, monkeypatch
+):
     monkeypatch.setattr(
         matting,
         "load_matting",
         lambda device: lambda picture, state: (np.zeros(picture.shape[:2], np.float32), state),
     )
-    assert "nobody in its mattes" in refusal(capsys, video, "--out", tmp_path / "out")
+    out, options = tmp_path / "out", vhap_options(vhap)
+    assert "found nobody, by its mattes" in refusal(capsys, video, "--out", out, *options)
 
 
 def test_albedo_of_other_frames_is_refused(video, vhap, network, albedo, tmp_path, capsys):

@@ -9,7 +9,7 @@ from stand_ins import HEIGHT, LEFT, SIDE, TOP, WIDTH, filmed
 
 from samira_warp.io.images import read_image
 from samira_warp.prepare.crop import Crop
-from samira_warp.prepare.frames import frame_name, sampled, thinned, write_frames
+from samira_warp.prepare.frames import Written, frame_name, sampled, thinned, write_frames
 from samira_warp.prepare.video import Picture, VideoFacts, read_facts, read_pictures
 from samira_warp.support.errors import UserError
 
@@ -51,9 +51,9 @@ def test_a_video_that_lies_on_its_side_is_put_upright(video, tmp_path, degrees):
 
 def test_frames_are_cropped_resized_and_numbered(video, tmp_path):
     crop = Crop(LEFT, TOP, SIDE)
-    assert (
-        write_frames(video, read_facts(video), tmp_path / "images", crop=crop, size=SIDE // 2, fps=None) == 12
-    )
+    assert write_frames(
+        video, read_facts(video), tmp_path / "images", crop=crop, size=SIDE // 2, fps=None
+    ) == (Written(12, 25.0))
     assert sorted(path.name for path in (tmp_path / "images").iterdir()) == [
         frame_name(number) for number in range(12)
     ]

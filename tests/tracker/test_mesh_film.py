@@ -42,7 +42,9 @@ def test_the_film_shows_pictures_meshes_and_landmarks(tmp_path):
     landmarks = np.full((frames, 2, 2), np.nan)
     landmarks[:, 0] = (10.0, 10.0)
     path = tmp_path / "mesh.mp4"
-    write_mesh_video(path, pictures, vertices, topology, CAMERA, frames_per_second=20.0, landmarks=landmarks)
+    write_mesh_video(
+        path, pictures, vertices.split(4), topology, CAMERA, frames_per_second=20.0, landmarks=landmarks
+    )
     with av.open(path) as film:
         assert film.streams.video[0].average_rate == 20
         shown = [frame.to_ndarray(format="rgb24").astype(int) for frame in film.decode(video=0)]
@@ -64,11 +66,15 @@ def test_too_few_pictures_leave_nothing_behind(tmp_path):
     vertices, topology = spheres(3)
     pictures = [np.zeros((HEIGHT, WIDTH, 3), np.uint8)] * 2
     with pytest.raises(ValueError, match="zip"):
-        write_mesh_video(tmp_path / "mesh.mp4", pictures, vertices, topology, CAMERA, frames_per_second=25.0)
+        write_mesh_video(
+            tmp_path / "mesh.mp4", pictures, [vertices], topology, CAMERA, frames_per_second=25.0
+        )
     assert not list(tmp_path.iterdir())
 
 
 def test_vertices_of_another_mesh_are_refused(tmp_path):
     vertices, topology = spheres(3)
     with pytest.raises(UserError, match=r"^vertices: "):
-        write_mesh_video(tmp_path / "mesh.mp4", [], vertices[:, 1:], topology, CAMERA, frames_per_second=25.0)
+        write_mesh_video(
+            tmp_path / "mesh.mp4", [], [vertices[:, 1:]], topology, CAMERA, frames_per_second=25.0
+        )
