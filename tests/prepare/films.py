@@ -16,7 +16,7 @@ from samira_subject.studio import Studio, developed
 from samira_warp.head import FrameParameters, Rig
 
 SIZE = 256
-MOMENTS = range(26, 50)
+MOMENTS = range(30, 48)
 """Of the performance: the head speaks and turns by 20 degrees, and its eyes are closed in the middle."""
 
 RATE = 25
