@@ -99,12 +99,10 @@ def test_the_first_command_makes_an_avatar_and_scores_it(newcomer):
     assert json.loads((run / "results.json").read_text())["psnr"] > 15
 
 
-def own_video_commands(data, head):
-    """The commands about one's own video, with a dataset and a head model in their places."""
+def own_video_commands(data):
+    """The commands about one's own video, with a dataset in its place."""
     return [
-        command.replace("DIR/dataset", str(data)).replace("FLAME_FILE", str(head))
-        for command in commands()
-        if "DIR/dataset" in command
+        command.replace("DIR/dataset", str(data)) for command in commands() if "DIR/dataset" in command
     ]
 
 
@@ -141,10 +139,9 @@ def check_light(newcomer, command):
 
 
 def test_the_commands_for_ones_own_video_run(newcomer, tiny_dataset, tmp_path):
-    """With a made-up dataset whose head model lies elsewhere, as a downloaded FLAME does."""
+    """With a made-up dataset in place of the prepared one."""
     data = shutil.copytree(tiny_dataset, tmp_path / "dataset")
-    head = (data / "template.npz").rename(tmp_path / "head.npz")
-    check, train = own_video_commands(data, head)
+    check, train = own_video_commands(data)
     assert "frames" in newcomer.run(check)
     newcomer.run(f"{train} --max-steps 3 --resolution 32 --gaussians 300")
     assert (newcomer.folder / "runs" / "dataset" / "results.json").is_file()

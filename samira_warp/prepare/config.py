@@ -54,6 +54,9 @@ class PrepareConfig:
     albedo: Path | None = None
     """Folder of albedo images by any intrinsic method, named as OUT/dataset/images or OUT/film/images; some
     may be missing."""
+    refine: Path | None = None
+    """Avatar (a run's folder) of the same person and head, by whose renderer pose and expression are refined
+    in a copy of the dataset, OUT/refined."""
     restart: bool = False
     """Make anew what another video or other options ask for, although tracking is lost by it."""
     device: DeviceName = "auto"
@@ -69,7 +72,7 @@ class PrepareConfig:
             if not holds:
                 raise UserError(f"--{name}", expected=expected, found=getattr(self, name))
         check_side("--size", self.size)
-        for name in ("mattes", "albedo", "models"):
+        for name in ("mattes", "albedo", "models", "refine"):
             folder = getattr(self, name)
             if folder is not None and not folder.is_dir():
                 raise UserError(f"--{name} {folder}", expected="a folder", found="none there")

@@ -64,12 +64,12 @@ def export(
     save_template(template, folder / "template.npz")
     subject: dict[str, Any] = {"shape": fit.shape.numpy(), "static_offset": fit.static_offset.numpy()[None]}
     rest = Rig.build(template).rest()
-    np.savez(folder / CANONICAL_FILE, **_arrays(template, rest), **subject)
+    np.savez(folder / CANONICAL_FILE, **parameter_arrays(template, rest), **subject)
     necks = None if keep_shoulders else _neck_lines(template, fit, filmed)
     for number, (picture, matte) in enumerate(zip(filmed.pictures, filmed.mattes, strict=True)):
         np.savez(
             folder / "flame_param" / f"{number:05d}.npz",
-            **_arrays(template, fit.parameters[number]),
+            **parameter_arrays(template, fit.parameters[number]),
             shape=subject["shape"],
         )
         shutil.copyfile(picture, folder / "images" / f"{_stem(number)}{picture.suffix}")
@@ -92,7 +92,7 @@ def _stem(number: int) -> str:
     return f"{number:05d}_00"
 
 
-def _arrays(template: HeadTemplate, parameters: FrameParameters) -> dict[str, Any]:
+def parameter_arrays(template: HeadTemplate, parameters: FrameParameters) -> dict[str, Any]:
     """A frame as VHAP writes it: numpy arrays by name; joints that FLAME lacks by their own."""
     turns = dict(zip(("root", *template.joint_names[1:]), parameters.rotations.numpy(), strict=True))
     zero = np.zeros(3, np.float32)

@@ -4,6 +4,7 @@
     OUT/film/faces.npz                     what networks see of the face in every frame
     OUT/tracking                           the fit, curves of it, and the mesh over the film; or VHAP's
     OUT/dataset                            what train reads
+    OUT/refined                            the same with --refine AVATAR, fitted by its renderer
     OUT/stages                             what is done, from what
 
 What an option does not ask for anew stays as it is: a crop, mattes and albedo that were given once are kept
@@ -19,6 +20,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from samira_warp.avatar import Avatar
 from samira_warp.check import check_dataset
 from samira_warp.data import open_listing
 from samira_warp.data.pictures import pictures_of
@@ -36,8 +38,10 @@ from samira_warp.prepare.faces import Chosen, choose_frames, head_box, read_face
 from samira_warp.prepare.frames import sampled, write_frames
 from samira_warp.prepare.lenses import known_focal
 from samira_warp.prepare.own_tracking import FIT_FILE, Filmed, read_fit, track_film
+from samira_warp.prepare.refining import refine_dataset
 from samira_warp.prepare.stages import Stage, check_root, content_of, folder_identity, is_file
 from samira_warp.prepare.video import VideoFacts, read_facts
+from samira_warp.support.devices import pick_device
 from samira_warp.support.errors import UserError
 from samira_warp.tracker.observed import View
 from samira_warp.vision.faces import FaceTrack
@@ -98,7 +102,7 @@ def prepare(config: PrepareConfig) -> Path:
         mattes = preparation.mattes(frames, faces)
         exported = preparation.export(preparation.track(mattes, cropped, frames), cropped, frames)
     preparation.add_albedo(exported)
-    return config.out / "dataset"
+    return config.out / "dataset" if config.refine is None else preparation.refine(exported)
 
 
 class _Preparation:
@@ -286,6 +290,19 @@ class _Preparation:
             replace_folder(target, lambda fresh: albedo.copy_albedo(images, fresh))
             stage.finish({})
             _say(f"{len(images)} of {len(frames)} frames have an albedo image")
+
+    def refine(self, exported: Stage) -> Path:
+        """Refine the tracking by an avatar, in a copy of the dataset."""
+        given, folder = self.config.refine, self.root / "refined"
+        assert given is not None
+        avatar = Avatar.load(given, device=pick_device(self.config.device))
+        stage = self._stage("refined", dataset=exported.key(), avatar=str(given.resolve()))
+        if stage.done(folder) is None:
+            self._begin(stage, folder)
+            dataset = self.root / "dataset"
+            replace_folder(folder, lambda fresh: refine_dataset(avatar, dataset, fresh, say=_say))
+            stage.finish({})
+        return folder
 
     @cached_property
     def _faces_networks(self) -> FaceNetworks:

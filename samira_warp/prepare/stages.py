@@ -15,7 +15,7 @@ from typing import Any
 from samira_warp.io.files import read_json, replace_file
 from samira_warp.support.errors import UserError
 
-ORDER = ("crop", "frames", "faces", "mattes", "tracking", "dataset", "albedo")
+ORDER = ("crop", "frames", "faces", "mattes", "tracking", "dataset", "albedo", "refined")
 """Each stage follows from those before it."""
 
 MARKERS = "stages"

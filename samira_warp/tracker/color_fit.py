@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import NamedTuple
 
 import torch
@@ -144,6 +145,7 @@ def fit_colors(
     """
     samples = Samples.build(head)
     key_levels, key_mattes = _levels(film, keys)
+    levels_of = lru_cache(maxsize=1)(lambda first, end: _levels(film, every[first:end]))
     every = torch.arange(len(unknowns.frames))
     for level, key_pictures in enumerate(key_levels):
         for _ in range(ROUNDS):
@@ -151,7 +153,7 @@ def fit_colors(
             known = know(observe(head, samples, at_keys, key_pictures, key_mattes, film.view))
 
             def fit(rows: slice, begun: Unknowns, level: int = level, known: Known = known) -> Unknowns:
-                levels, mattes = _levels(film, every[rows])
+                levels, mattes = levels_of(rows.start, rows.stop)
                 seen = observe(head, samples, begun, levels[level], mattes, film.view)
                 predicted = encode_srgb(known.appearance.shade(seen.normals))
                 colors = PhotometricTerm(
