@@ -1,7 +1,7 @@
 """The README's commands, run as they are printed and in their order, by a newcomer with an empty home.
 
-The built-in subject that would be made in minutes is a smaller one of the same person, found in the cache:
-the commands do not know.
+The built-in subject that would be made in minutes is a smaller one of the same person, found in the cache,
+and the preset that would train in minutes is as small: the commands do not know.
 """
 
 import json
@@ -44,6 +44,15 @@ def python_block():
     return block
 
 
+SMALLER = """
+from samira_warp.train.config import PRESETS, Preset
+PRESETS["cpu"] = Preset(
+    resolution=64, uv_size=64, gaussians=3000, gaussian_cap=4000, width=8, region_width=4
+)
+"""
+"""What Python runs before every program of the newcomer's."""
+
+
 class Newcomer:
     """A shell in a folder that holds what a clone holds, with a home of its own and the package installed."""
 
@@ -60,12 +69,13 @@ class Newcomer:
         for name, start in (("python", ""), ("samira-warp", " -m samira_warp")):
             (programs / name).write_text(f'#!/bin/sh\nexec {shlex.quote(sys.executable)}{start} "$@"\n')
             (programs / name).chmod(0o755)
+        (programs / "sitecustomize.py").write_text(SMALLER)
         kept = {name: value for name, value in os.environ.items() if not name.startswith(("XDG", "SAMIRA"))}
         compiled = os.environ.get("WARP_CACHE_PATH") or os.path.expanduser("~/.cache/warp")
         self.environment = kept | {
             "HOME": str(folder / "home"),
             "PATH": f"{programs}:{os.environ['PATH']}",
-            "PYTHONPATH": str(ROOT),
+            "PYTHONPATH": f"{programs}{os.pathsep}{ROOT}",
             "WARP_CACHE_PATH": compiled,
             "HF_HUB_OFFLINE": "1",
         }
