@@ -112,9 +112,7 @@ def test_the_first_command_makes_an_avatar_and_scores_it(newcomer):
 
 def own_video_commands(data):
     """The commands about one's own video, with a dataset in its place."""
-    return [
-        command.replace("DIR/dataset", str(data)) for command in commands() if "DIR/dataset" in command
-    ]
+    return [command.replace("DIR/dataset", str(data)) for command in commands() if "DIR/dataset" in command]
 
 
 def test_every_command_runs_in_its_order(newcomer):

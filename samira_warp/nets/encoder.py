@@ -5,11 +5,14 @@ from __future__ import annotations
 import logging
 import urllib.error
 import urllib.request
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import torch
+from huggingface_hub import constants, try_to_load_from_cache
 from torch import Tensor, nn
 
+from samira_warp.nets.random_features import RandomFeatures
 from samira_warp.support.errors import UserError
 
 logger = logging.getLogger(__name__)
@@ -28,6 +31,9 @@ HUB_TIMEOUT = 5.0
 
 RANDOM_ENCODER = "random"
 """Fixed random ResNet-18 features, seeded: what is used where pretrained weights cannot be had."""
+
+Backbone = Callable[[Tensor], Sequence[Tensor]]
+"""From a (1, 3, H, W) standardised image to its features, finest first."""
 
 
 @torch.no_grad()
@@ -51,11 +57,10 @@ def encode_reference(
         for values in (IMAGE_MEAN, IMAGE_DEVIATION)
     )
     pixels = (image.permute(2, 0, 1)[None] - mean) / deviation
-    features = backbone.to(image.device).eval()(pixels).feature_maps
-    return [nn.functional.instance_norm(level).contiguous() for level in features], origin
+    return [nn.functional.instance_norm(level).contiguous() for level in backbone(pixels)], origin
 
 
-def _load_backbone(encoder: str, levels: int) -> tuple[nn.Module, str]:
+def _load_backbone(encoder: str, levels: int) -> tuple[Backbone, str]:
     """The backbone and its name.
 
     Random features stand in for the default one where it cannot be had, and for no other.
@@ -79,27 +84,30 @@ def _load_backbone(encoder: str, levels: int) -> tuple[nn.Module, str]:
             return _random_backbone(levels), RANDOM_ENCODER
 
 
-def _pretrained_backbone(encoder: str, levels: int) -> nn.Module:
+def _pretrained_backbone(encoder: str, levels: int) -> Backbone:
     """The backbone from a local folder, the hub's cache or the hub.
 
     Raises:
         OSError: It is in none of them, or is no backbone.
     """
+    folder = Path(encoder).is_dir()
+    local = folder or not _hub_answers(encoder)
+    if local and not folder and not isinstance(try_to_load_from_cache(encoder, "config.json"), str):
+        raise OSError("the hub does not answer, and its cache has none of it")
+    # seconds to load, and not needed before
     from transformers import AutoBackbone, AutoConfig
 
-    local = Path(encoder).is_dir() or not _hub_answers(encoder)
     config = AutoConfig.from_pretrained(
         encoder, out_indices=list(range(1, levels + 1)), local_files_only=local
     )
     # AutoBackbone asks the hub even for a local folder; the concrete class does not.
     concrete = type(AutoBackbone.from_config(config))
-    return concrete.from_pretrained(encoder, config=config, local_files_only=local)
+    network = concrete.from_pretrained(encoder, config=config, local_files_only=local)
+    return lambda pixels: network.to(pixels.device).eval()(pixels).feature_maps
 
 
 def _hub_answers(encoder: str) -> bool:
     """Whether the hub can be reached, asked once: transformers would retry for half a minute."""
-    from huggingface_hub import constants
-
     if constants.HF_HUB_OFFLINE:
         return False
     request = urllib.request.Request(
@@ -114,15 +122,7 @@ def _hub_answers(encoder: str) -> bool:
     return True
 
 
-def _random_backbone(levels: int) -> nn.Module:
-    from transformers import ResNetBackbone, ResNetConfig
-
-    config = ResNetConfig(  # type: ignore[call-arg]  # out_features is taken by name, and not declared
-        embedding_size=64,
-        hidden_sizes=[64, 128, 256, 512],
-        depths=[2, 2, 2, 2],
-        layer_type="basic",
-        out_features=[f"stage{stage}" for stage in range(1, levels + 1)],
-    )
+def _random_backbone(levels: int) -> Backbone:
     torch.manual_seed(0)
-    return ResNetBackbone(config)
+    network = RandomFeatures(levels)
+    return lambda pixels: network.to(pixels.device).eval()(pixels)

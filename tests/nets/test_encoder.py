@@ -1,6 +1,8 @@
 import logging
 import re
 import socket
+import subprocess
+import sys
 
 import huggingface_hub.constants
 import pytest
@@ -9,6 +11,7 @@ from transformers import ResNetBackbone, ResNetConfig
 
 from samira_warp.nets import encode_reference
 from samira_warp.nets.encoder import DEFAULT_ENCODER
+from samira_warp.nets.random_features import RandomFeatures
 from samira_warp.support.errors import UserError
 
 
@@ -48,6 +51,32 @@ def test_features_are_a_pyramid_standardised_per_channel(image):
         torch.testing.assert_close(mean, torch.zeros_like(mean), atol=1e-5, rtol=0)
         assert (deviation < 1 + 1e-4).all()  # below 1 where a channel hardly varies: the 1e-5 under its root
         assert deviation.median() > 0.9
+
+
+@pytest.mark.parametrize("levels", [1, 3, 4])
+def test_random_features_are_those_of_transformers_own_network(image, levels):
+    config = ResNetConfig(
+        embedding_size=64,
+        hidden_sizes=[64, 128, 256, 512],
+        depths=[2, 2, 2, 2],
+        layer_type="basic",
+        out_features=[f"stage{stage}" for stage in range(1, levels + 1)],
+    )
+    with torch.random.fork_rng(devices=[]), torch.no_grad():
+        torch.manual_seed(0)
+        theirs = ResNetBackbone(config).eval()
+        torch.manual_seed(0)
+        ours = RandomFeatures(levels).eval()
+        pixels = image.permute(2, 0, 1)[None]
+        assert all(torch.equal(a, b) for a, b in zip(ours(pixels), theirs(pixels).feature_maps, strict=True))
+
+
+def test_random_features_load_no_library_of_backbones():
+    code = (
+        "import sys, torch\nfrom samira_warp.nets import encode_reference\n"
+        "encode_reference(torch.rand(64, 64, 3), encoder='random')\nassert 'transformers' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=300)
 
 
 def test_features_depend_on_the_image(image):
