@@ -76,7 +76,8 @@ class Rig:
         """A float32 rig on the CPU."""
 
         def tensor(array: np.ndarray) -> Tensor:
-            return torch.from_numpy(array.copy())
+            # torch's own memory is aligned, numpy's as it happens to come: sums of products end in other bits
+            return torch.tensor(array)
 
         return cls(
             v_template=tensor(template.v_template),

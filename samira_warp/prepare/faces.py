@@ -43,11 +43,11 @@ class Chosen(NamedTuple):
     notes: list[str]
 
 
-def head_box(network: FaceNetworks, picture: np.ndarray) -> Box | None:
-    """The head in one picture (H, W, 3) uint8, or None where no face is seen."""
+def head_box(network: FaceNetworks, picture: np.ndarray) -> Box | str:
+    """The head in one picture (H, W, 3) uint8, or why there is none."""
     track = follow_faces([picture], network)
     if not track.seen[0]:
-        return None
+        return track.reasons[0]
     low, high = track.landmarks[0, :, :2].min(axis=0), track.landmarks[0, :, :2].max(axis=0)
     width, height = high - low
     left, right = low[0] - BESIDE * width, high[0] + BESIDE * width
@@ -99,7 +99,7 @@ def choose_frames(video: Path, track: FaceTrack, *, rate: float) -> Chosen:
     Raises:
         UserError: There is hardly a face to be seen.
     """
-    cuts = find_cuts(track.colours, track.landmarks)
+    cuts = _cuts(track)
     part = longest_continuous(track.person, cuts)
     seen = track.seen[part]
     if seen.sum() < FEWEST:
@@ -109,10 +109,10 @@ def choose_frames(video: Path, track: FaceTrack, *, rate: float) -> Chosen:
         raise UserError(video, expected=expected, found=f"{int(seen.sum())} of {len(track.seen)}: {common}")
     notes = list(track.notes)
     if part.stop - part.start < len(track.seen) and cuts:
-        places = ", ".join(f"{cut / rate:.1f}" for cut in cuts[:5])
+        many = "a cut" if len(cuts) == 1 else f"{len(cuts)} cuts"
+        places = ", ".join(f"{cut / rate:.1f}" for cut in cuts[:5]) + (", ..." if len(cuts) > 5 else "")
         notes.append(
-            f"{len(cuts)} cuts, at {places} s: the longest part is taken, "
-            f"frames {part.start} to {part.stop - 1}"
+            f"{many}, at {places} s: the longest part is taken, frames {part.start} to {part.stop - 1}"
         )
     numbers = np.arange(part.start, part.stop)
     long_gaps = _long_gaps(seen, longest=max(round(LONGEST_GAP * rate), 1))
@@ -124,6 +124,16 @@ def choose_frames(video: Path, track: FaceTrack, *, rate: float) -> Chosen:
         if number not in kept
     }
     return Chosen(frames, left_out, notes)
+
+
+def _cuts(track: FaceTrack) -> list[int]:
+    """Frames that begin another shot of a face.
+
+    What is between two frames that show it is no part of any: a lens that is covered for a moment, or a look
+    at something else, ends no shot.
+    """
+    seen = np.flatnonzero(track.seen)
+    return [int(seen[place]) for place in find_cuts(track.colours[seen], track.landmarks[seen])]
 
 
 def _long_gaps(seen: np.ndarray, *, longest: int) -> np.ndarray:

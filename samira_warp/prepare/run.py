@@ -434,15 +434,15 @@ class _Preparation:
                 "--crop X,Y,SIDE keeps another square, the tighter the sharper"
             )
             return middle(width=width, height=height), MIDDLE
-        heads = (find(picture) for picture in sampled(self.config.video, self.facts))
-        crop = crop_around((head for head in heads if head is not None), width=width, height=height)
+        heads = [find(picture) for picture in sampled(self.config.video, self.facts)]
+        crop = crop_around((head for head in heads if isinstance(head, Box)), width=width, height=height)
         if crop is None:
-            raise UserError(
-                self.config.video, expected="a person, or --crop X,Y,SIDE", found=f"nobody, by {by}"
-            )
+            reasons = [str(head) for head in heads]
+            found = f"nobody, by {by}: {max(set(reasons), key=reasons.count)}"
+            raise UserError(self.config.video, expected="a person, or --crop X,Y,SIDE", found=found)
         return crop, by
 
-    def _finder(self) -> tuple[Callable[[Any], Box | None] | None, str]:
+    def _finder(self) -> tuple[Callable[[Any], Box | str] | None, str]:
         """What finds a head in a picture, and its name: the face's networks where the package tracks."""
         if self.config.vhap is None:
             networks = self._faces_networks
@@ -450,7 +450,8 @@ class _Preparation:
         network = self._network()
         if network is None:
             return None, MIDDLE
-        return (lambda picture: find_head(matting.matte_still(network, picture))), MATTES
+        nothing = "nothing is covered"
+        return (lambda picture: find_head(matting.matte_still(network, picture)) or nothing), MATTES
 
 
 def _left_out(chosen: Chosen) -> str:

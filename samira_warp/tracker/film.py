@@ -13,6 +13,9 @@ from torch import Tensor
 from samira_warp.io.images import read_image, resize_box
 from samira_warp.tracker.observed import View
 
+AT_ONCE = 64
+"""Pictures that are in float32 at once: of 192 x 192 pixels, 28 MB."""
+
 
 @dataclass(frozen=True)
 class Film:
@@ -64,5 +67,8 @@ def to_bytes(values: np.ndarray) -> np.ndarray:
 
 def halved(pictures: Tensor) -> Tensor:
     """(n, h / 2, w / 2, 3) uint8 of (n, h, w, 3): the next level of a pyramid."""
-    small = torch.nn.functional.avg_pool2d(pictures.permute(0, 3, 1, 2).float(), 2, ceil_mode=True)
-    return small.round().to(torch.uint8).permute(0, 2, 3, 1).contiguous()
+    parts = []
+    for some in pictures.split(AT_ONCE):
+        small = torch.nn.functional.avg_pool2d(some.permute(0, 3, 1, 2).float(), 2, ceil_mode=True)
+        parts.append(small.round().to(torch.uint8).permute(0, 2, 3, 1))
+    return torch.cat(parts).contiguous()

@@ -43,7 +43,7 @@ class TrackedHead:
     def build(cls, template: HeadTemplate, *, basis: np.ndarray, eigenvalues: np.ndarray) -> TrackedHead:
         """Prepare a head."""
         rig = Rig.build(template)
-        functions = torch.from_numpy(basis).float()
+        functions = torch.tensor(basis, dtype=torch.float32)  # in aligned memory, as the rig is
         moving = tuple(joint for joint, name in enumerate(rig.joint_names) if joint == 0 or name not in STILL)
         return cls(
             template=template,
