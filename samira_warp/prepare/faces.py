@@ -43,16 +43,30 @@ class Chosen(NamedTuple):
     notes: list[str]
 
 
-def head_box(network: FaceNetworks, picture: np.ndarray) -> Box | str:
-    """The head in one picture (H, W, 3) uint8, or why there is none."""
+class Found(NamedTuple):
+    """What one picture shows of a head.
+
+    Attributes:
+        box: Where it is, None where there is none.
+        reason: Why there is none, else "".
+        alone: Whether it is the only one.
+    """
+
+    box: Box | None
+    reason: str = ""
+    alone: bool = True
+
+
+def find_face(network: FaceNetworks, picture: np.ndarray) -> Found:
+    """The head of the largest face in one picture (H, W, 3) uint8."""
     track = follow_faces([picture], network)
     if not track.seen[0]:
-        return track.reasons[0]
+        return Found(None, track.reasons[0])
     low, high = track.landmarks[0, :, :2].min(axis=0), track.landmarks[0, :, :2].max(axis=0)
     width, height = high - low
     left, right = low[0] - BESIDE * width, high[0] + BESIDE * width
     top, bottom = low[1] - ABOVE * height, high[1] + BELOW * height
-    return Box(round(left), round(top), round(right), round(bottom))
+    return Found(Box(round(left), round(top), round(right), round(bottom)), alone=not track.notes)
 
 
 def write_faces(pictures: list[Path], networks: FaceNetworks, target: Path) -> None:

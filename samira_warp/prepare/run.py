@@ -31,10 +31,18 @@ from samira_warp.io.files import replace_folder
 from samira_warp.io.images import image_size, write_png
 from samira_warp.prepare import albedo, matting, tracking
 from samira_warp.prepare.config import USUAL_RATE, PrepareConfig
-from samira_warp.prepare.crop import Box, Crop, crop_around, find_head, middle, parse_crop
+from samira_warp.prepare.crop import Crop, crop_around, find_head, middle, parse_crop
 from samira_warp.prepare.cutting import write_cut_mattes
 from samira_warp.prepare.export import export
-from samira_warp.prepare.faces import Chosen, choose_frames, head_box, read_faces, rows_of, write_faces
+from samira_warp.prepare.faces import (
+    Chosen,
+    Found,
+    choose_frames,
+    find_face,
+    read_faces,
+    rows_of,
+    write_faces,
+)
 from samira_warp.prepare.frames import sampled, write_frames
 from samira_warp.prepare.lenses import known_focal
 from samira_warp.prepare.own_tracking import FIT_FILE, Filmed, read_fit, track_film
@@ -435,23 +443,29 @@ class _Preparation:
             )
             return middle(width=width, height=height), MIDDLE
         heads = [find(picture) for picture in sampled(self.config.video, self.facts)]
-        crop = crop_around((head for head in heads if isinstance(head, Box)), width=width, height=height)
+        boxes = (head.box for head in heads if head.box is not None)
+        crop = crop_around(boxes, width=width, height=height)
         if crop is None:
-            reasons = [str(head) for head in heads]
-            found = f"nobody, by {by}: {max(set(reasons), key=reasons.count)}"
+            reasons = [head.reason for head in heads]
+            found = f"nobody, by {by}: {max(sorted(set(reasons)), key=reasons.count)}"
             raise UserError(self.config.video, expected="a person, or --crop X,Y,SIDE", found=found)
+        several = sum(not head.alone for head in heads)
+        if several:
+            _say(
+                f"{several} of {len(heads)} pictures that were looked at show several faces: the largest is "
+                "taken; --crop X,Y,SIDE takes another"
+            )
         return crop, by
 
-    def _finder(self) -> tuple[Callable[[Any], Box | str] | None, str]:
+    def _finder(self) -> tuple[Callable[[Any], Found] | None, str]:
         """What finds a head in a picture, and its name: the face's networks where the package tracks."""
         if self.config.vhap is None:
             networks = self._faces_networks
-            return (lambda picture: head_box(networks, picture)), FACES
+            return (lambda picture: find_face(networks, picture)), FACES
         network = self._network()
         if network is None:
             return None, MIDDLE
-        nothing = "nothing is covered"
-        return (lambda picture: find_head(matting.matte_still(network, picture)) or nothing), MATTES
+        return (lambda picture: _in_matte(matting.matte_still(network, picture))), MATTES
 
 
 def _left_out(chosen: Chosen) -> str:
@@ -463,6 +477,12 @@ def _left_out(chosen: Chosen) -> str:
         f"{len(numbers)} for '{reason}', the first is {numbers[0]}" for reason, numbers in reasons.items()
     ]
     return f"{len(chosen.left_out)} frames are left out: {'; '.join(parts)}"
+
+
+def _in_matte(matte: Any) -> Found:
+    """The head in one matte (H, W)."""
+    box = find_head(matte)
+    return Found(box, "" if box else "nothing is covered")
 
 
 def _needed(vhap: tracking.Vhap | None, what: str) -> tracking.Vhap:

@@ -41,7 +41,7 @@ def track_networks():
 
 @pytest.fixture(scope="session")
 def taken(track_networks):
-    """Eighteen pictures of the built-in subject, 256 x 256, in which it blinks, and what is known of them."""
+    """A second of the built-in subject, 256 x 256, in which it blinks, and what is known of it."""
     return films.take()
 
 

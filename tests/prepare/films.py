@@ -16,11 +16,11 @@ from samira_subject.studio import Studio, developed
 from samira_warp.head import FrameParameters, Rig
 
 SIZE = 256
-MOMENTS = range(30, 48)
+MOMENTS = range(27, 49)
 """Of the performance: the head speaks and turns by 20 degrees, and its eyes are closed in the middle."""
 
 RATE = 25
-FEW_RAYS = Effort(samples=2, lights=1, lobes=1, more=2, rounds=1)
+FEW_RAYS = Effort(samples=4, lights=1, lobes=1, more=4, rounds=1)
 LEFT, TOP, WIDTH, HEIGHT = 70, 34, 400, 290
 """Where the subject's pictures stand in a video, at its foot, and the video's size."""
 

@@ -119,7 +119,7 @@ def test_all_files_are_there(prepared):
         assert (appearance["albedo"] > 0).all()
     for name in ("template.npz", "transforms.json", "transforms_train.json", "transforms_test.json"):
         assert (dataset / name).is_file()
-    assert not [path for path in prepared.rglob(".*")]
+    assert not list(prepared.rglob(".*"))
 
 
 def test_mattes_are_the_heads(prepared, taken):
