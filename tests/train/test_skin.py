@@ -113,7 +113,7 @@ def test_the_mean_is_over_the_area_that_skins_gaussians_cover(generator):
     for row in range(300):
         if on_skin[gaussians.faces[row].long()]:
             first, second = sorted(gaussians.scales[row].tolist())[1:]
-            weight = float(gaussians.opacities[row]) * first * second
+            weight = float(gaussians.opacities[row].detach()) * first * second
             total += weight * gaussians.albedo[row].detach().double().numpy()
             area += weight
     found = mean_skin(gaussians, on_skin)
