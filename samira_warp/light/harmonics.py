@@ -52,3 +52,10 @@ def irradiance_functions(normals: Tensor) -> Tensor:
 def mean_radiance(light: Tensor) -> Tensor:
     """(C,) mean over all directions of the radiance of a light of (9, C) coefficients."""
     return light[0] * (0.5 / math.sqrt(math.pi))
+
+
+def uniform_harmonics(radiance: Tensor) -> Tensor:
+    """(9, C) harmonics of a light of (C,) radiance from everywhere: its irradiance over pi is the radiance."""
+    light = radiance.new_zeros(FUNCTIONS, len(radiance))
+    light[0] = 2.0 * math.sqrt(math.pi) * radiance
+    return light

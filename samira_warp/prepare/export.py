@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from samira_warp.data.appearance import APPEARANCE_FILE
 from samira_warp.data.joints import FLAME_KEYS, OTHER_KEY
 from samira_warp.data.landmarks import LANDMARKS_FILE
 from samira_warp.data.mattes import read_matte
@@ -22,9 +23,6 @@ from samira_warp.io.images import write_png
 from samira_warp.prepare.own_tracking import Filmed, Fit, camera_of
 from samira_warp.vision.faces import FaceTrack
 from samira_warp.vision.mattes import above_line
-
-APPEARANCE_FILE = "appearance.npz"
-"""Albedo of the vertices, and the light, as the tracker has them."""
 
 TEST_SHARE = 0.2
 """Of the frames, the last ones: they are not trained on."""

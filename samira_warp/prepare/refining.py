@@ -5,7 +5,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -72,9 +72,11 @@ def refine_dataset(avatar: Avatar, dataset: Path, target: Path, *, say: Callable
     shutil.copytree(dataset, target, dirs_exist_ok=True)
     canonical = avatar.canonical
     rest = parameter_arrays(sequence.template, canonical.rig.rest().to("cpu"))
-    offset = {} if canonical.static_offset is None else {"static_offset": canonical.static_offset.cpu()[None]}
     shape = canonical.shape.cpu().numpy()
-    np.savez(target / CANONICAL_FILE, **rest, shape=shape, **offset)
+    subject: dict[str, Any] = {"shape": shape}
+    if canonical.static_offset is not None:
+        subject["static_offset"] = canonical.static_offset.cpu().numpy()[None]
+    np.savez(target / CANONICAL_FILE, **rest, **subject)
     changes = []
     for frame in tqdm(sequence.frames, desc="refining", unit="frame", dynamic_ncols=True):
         found = refine_frame(avatar, sequence, frame)

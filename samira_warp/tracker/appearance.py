@@ -7,7 +7,7 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from samira_warp.tracker.harmonics import FUNCTIONS, irradiance_functions, uniform
+from samira_warp.light.harmonics import FUNCTIONS, irradiance_functions, uniform_harmonics
 
 TURNS = 6
 """Rounds of albedo for a light, and light for an albedo: each is a linear least squares."""
@@ -53,7 +53,7 @@ def estimate(colors: Tensor, weights: Tensor, normals: Tensor) -> Appearance:
     functions = irradiance_functions(normals)
     seen = weights.sum(dim=0) > 0
     mean = (weights[..., None] * colors).sum(dim=(0, 1)) / weights.sum().clamp(min=1e-9)
-    appearance = Appearance(torch.full_like(colors[0], 0.5), uniform(2.0 * mean))
+    appearance = Appearance(torch.full_like(colors[0], 0.5), uniform_harmonics(2.0 * mean))
     for _ in range(TURNS):
         irradiance = appearance.irradiance(normals)
         top = (weights[..., None] * irradiance * colors).sum(dim=0)

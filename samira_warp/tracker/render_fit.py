@@ -21,7 +21,7 @@ from samira_warp.kernels.mesh.mesh_normals import mesh_normals
 from samira_warp.kernels.mesh.mesh_raster import rasterize_mesh
 from samira_warp.kernels.mesh.topology import MeshTopology
 from samira_warp.light.color import encode_srgb
-from samira_warp.tracker.harmonics import irradiance_functions
+from samira_warp.light.harmonics import irradiance_functions
 from samira_warp.tracker.landmark_fit import LandmarkModel
 from samira_warp.tracker.landmark_terms import ALIKE, TAIL
 from samira_warp.tracker.observed import View

@@ -4,7 +4,13 @@ import torch
 
 from samira_warp.kernels.cubemap.filter import irradiance
 from samira_warp.kernels.cubemap.layout import texel_directions, texel_solid_angles
-from samira_warp.light.harmonics import FUNCTIONS, harmonics, irradiance_functions, mean_radiance
+from samira_warp.light.harmonics import (
+    FUNCTIONS,
+    harmonics,
+    irradiance_functions,
+    mean_radiance,
+    uniform_harmonics,
+)
 
 
 def test_they_are_orthonormal():
@@ -40,3 +46,10 @@ def test_a_uniform_light_of_one_is_irradiance_of_one():
     light[0] = 2.0 * math.sqrt(math.pi)
     assert torch.allclose(irradiance_functions(texel_directions(2)) @ light, torch.ones(1))
     assert torch.allclose(mean_radiance(light), torch.ones(1))
+
+
+def test_uniform_light_gives_its_radiance():
+    radiance = torch.tensor([0.5, 1.0, 2.0], dtype=torch.float64)
+    normals = torch.nn.functional.normalize(torch.eye(3, dtype=torch.float64) + 0.3, dim=1)
+    found = irradiance_functions(normals) @ uniform_harmonics(radiance)
+    torch.testing.assert_close(found, radiance.expand(3, 3))
