@@ -55,7 +55,7 @@ def mean_radiance(light: Tensor) -> Tensor:
 
 
 def uniform_harmonics(radiance: Tensor) -> Tensor:
-    """(9, C) harmonics of a light of (C,) radiance from everywhere: its irradiance over pi is the radiance."""
+    """(9, C) harmonics of a light of (C,) radiance from everywhere: E_d is the radiance."""
     light = radiance.new_zeros(FUNCTIONS, len(radiance))
     light[0] = 2.0 * math.sqrt(math.pi) * radiance
     return light
