@@ -47,6 +47,6 @@ def taken(track_networks):
 
 @pytest.fixture(scope="session")
 def film(taken, tmp_path_factory):
-    """The same as a video of 400 x 290 pixels."""
+    """The same as a video of 600 x 290 pixels."""
     pictures = [films.placed(picture) for picture in taken.pictures]
     return films.write_film(tmp_path_factory.mktemp("film") / "me.mp4", pictures)

@@ -103,10 +103,10 @@ def test_of_a_film_with_a_cut_the_longest_part_is_taken(taken, tmp_path, capsys,
 
 def test_of_two_people_the_larger_is_followed(taken, tmp_path, capsys, not_tracked):
     def both(picture):
-        canvas = np.tile(np.rint(255.0 * films.BACKDROP).astype(np.uint8), (films.HEIGHT, 560, 1))
+        canvas = np.tile(np.rint(255.0 * films.BACKDROP).astype(np.uint8), (films.HEIGHT, 760, 1))
         canvas[:, : films.WIDTH] = films.placed(picture)
         small = np.asarray(Image.fromarray(taken.pictures[0]).resize((150, 150)))
-        canvas[films.HEIGHT - 150 :, 400:550] = small
+        canvas[films.HEIGHT - 150 :, 600:750] = small
         return canvas
 
     path = films.write_film(tmp_path / "two.mp4", [both(picture) for picture in taken.pictures[:4]])
