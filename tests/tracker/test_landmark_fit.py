@@ -1,7 +1,7 @@
 """Stages (a) and (b) on landmarks whose head is known."""
 
 import torch
-from heads import FOCAL, VIEW, head, model, performed, pixels_of, seen_landmarks, vertices_in_picture
+from tracked_heads import FOCAL, VIEW, head, model, performed, pixels_of, seen_landmarks, vertices_in_picture
 from scipy.spatial.transform import Rotation
 
 from samira_warp.tracker.first_pose import first_pose

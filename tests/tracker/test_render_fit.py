@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from heads import VIEW, head, model, performed, pixels_of, seen_landmarks
+from tracked_heads import VIEW, head, model, performed, pixels_of, seen_landmarks
 
 from samira_warp.kernels.mesh.antialias import antialias
 from samira_warp.kernels.mesh.interpolate import interpolate

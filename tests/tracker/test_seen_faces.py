@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from heads import head
+from tracked_heads import head
 
 from samira_warp.head.landmarks import LANDMARKS, MESH_LANDMARKS
 from samira_warp.tracker.faces import GAPS, LIDS, LIPS, landmarks_of

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from heads import FOCAL, VIEW, head, model, performed, pixels_of, seen_landmarks
+from tracked_heads import FOCAL, VIEW, head, model, performed, pixels_of, seen_landmarks
 
 from samira_warp.head.rig import Rig
 from samira_warp.tracker.landmark_terms import GapTerm, LandmarkTerm
