@@ -24,7 +24,7 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 NOT_RUN = {
     "pip install -c constraints.txt -e '.[test]' && python -m pytest": "it runs this test",
     "pip install -c constraints.txt -e '.[track]'": "a test does not change its environment",
-    "samira-warp train --data VIDEO": "tests/train/test_train_video.py runs it, with a stand-in for what prepares",
+    "samira-warp train --data VIDEO": "tests/train/test_train_video.py runs it, prepared by a stand-in",
     "samira-warp prepare VIDEO --out DIR": "tests/prepare runs it, with stand-ins for what it calls",
 }
 """Commands that are not run here, and why."""

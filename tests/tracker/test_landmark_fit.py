@@ -1,8 +1,8 @@
 """Stages (a) and (b) on landmarks whose head is known."""
 
 import torch
-from tracked_heads import FOCAL, VIEW, head, model, performed, pixels_of, seen_landmarks, vertices_in_picture
 from scipy.spatial.transform import Rotation
+from tracked_heads import FOCAL, VIEW, head, model, performed, pixels_of, seen_landmarks, vertices_in_picture
 
 from samira_warp.tracker.first_pose import first_pose
 from samira_warp.tracker.landmark_fit import Started, fit_frames, fit_subject, key_frames, landmark_errors

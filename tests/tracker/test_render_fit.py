@@ -12,8 +12,8 @@ from samira_warp.kernels.mesh.mesh_normals import mesh_normals
 from samira_warp.kernels.mesh.mesh_raster import rasterize_mesh
 from samira_warp.kernels.mesh.topology import MeshTopology
 from samira_warp.light.color import encode_srgb
+from samira_warp.light.harmonics import irradiance_functions, uniform_harmonics
 from samira_warp.tracker import render_fit
-from samira_warp.tracker.harmonics import irradiance_functions, uniform
 from samira_warp.tracker.render_fit import KeyFrames, Rendered, refine_by_rendering
 
 FRAMES, SIDE = 4, 96
@@ -22,7 +22,7 @@ LEVELS = ((SIDE, 60),)
 
 def light():
     """From above and a little from the left, (9, 3)."""
-    result = uniform(torch.tensor([0.8, 0.8, 0.8]))
+    result = uniform_harmonics(torch.tensor([0.8, 0.8, 0.8]))
     result[1], result[3] = 0.5, -0.3
     return result
 
@@ -86,7 +86,7 @@ def test_light_and_albedo_are_found_up_to_their_scale(case, monkeypatch):
     """From a uniform light as bright, the pictures come out; what is dark stays dark."""
     monkeypatch.setattr(render_fit, "LEVELS", LEVELS)
     truth, _, albedo, keys = case
-    start = Rendered(truth, albedo, uniform(torch.tensor([0.8, 0.8, 0.8])))
+    start = Rendered(truth, albedo, uniform_harmonics(torch.tensor([0.8, 0.8, 0.8])))
     renderer = render_fit._Renderer.build(model(), VIEW)
     level = render_fit._Level.build(keys, VIEW, SIDE)
 
