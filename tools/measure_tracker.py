@@ -13,13 +13,13 @@ import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Literal
 
 import numpy as np
 import torch
-import tyro
 from PIL import Image
 from torch import Tensor
+from tyro.conf import Positional
 
 from samira_warp.data import Frame, TrackedSequence, open_sequence
 from samira_warp.data.landmarks import read_landmarks
@@ -32,6 +32,7 @@ from samira_warp.kernels.mesh.mesh_raster import rasterize_mesh
 from samira_warp.kernels.mesh.topology import MeshTopology
 from samira_warp.prepare.faces import read_faces
 from samira_warp.stage import VideoWriter
+from samira_warp.support.cli import run
 from samira_warp.tracker.faces import LIDS
 from samira_warp.vision.openness import INNER_LIPS, MOUTH_CORNERS, OPEN_MOUTH, read_openness
 
@@ -252,14 +253,34 @@ def _face_of(sequence: TrackedSequence) -> Tensor:
     return torch.isin(torch.from_numpy(route_faces(sequence.template)), wanted)
 
 
-Command = (
-    Annotated[Film, tyro.conf.subcommand("film")]
-    | Annotated[Points, tyro.conf.subcommand("points")]
-    | Annotated[Surface, tyro.conf.subcommand("surface")]
-    | Annotated[Likeness, tyro.conf.subcommand("likeness")]
-)
+@dataclass(frozen=True)
+class MeasureConfig:
+    """Measure a tracking."""
+
+    what: Positional[Literal["film", "points", "surface", "likeness"]]
+    """film makes a film of pictures; the others measure what prepare made of one."""
+    images: Path = Path("images")
+    """Of film: the pictures, in the order of their names."""
+    out: Path = Path("film.mp4")
+    """Of film: where to."""
+    fps: float = 25.0
+    """Of film: pictures a second."""
+    prepared: Path = Path("prepared")
+    """Of the others: the folder of prepare."""
+    truth: Path = Path("truth")
+    """Of points and surface: the dataset that was filmed."""
+
+
+def main(config: MeasureConfig) -> None:
+    """Do it, and print what came of it."""
+    runs: dict[str, Film | Points | Surface | Likeness] = {
+        "film": Film(config.images, config.out, config.fps),
+        "points": Points(config.prepared, config.truth),
+        "surface": Surface(config.prepared, config.truth),
+        "likeness": Likeness(config.prepared),
+    }
+    print(json.dumps(runs[config.what].run()))
 
 
 if __name__ == "__main__":
-    print(json.dumps(tyro.cli(Command, description=__doc__).run()))  # type: ignore[call-overload]
-    sys.exit(0)
+    sys.exit(run(main, MeasureConfig, program="python tools/measure_tracker.py"))
