@@ -168,7 +168,7 @@ def test_a_short_gap_is_interpolated(covered, taken):
     face = taken.template.masks["face"][:: len(taken.template.masks["face"]) // POINTS]
     apart = np.linalg.norm(tracked_pixels(out)[:, face] - taken.pixels[:12][:, face], axis=-1)
     others = [number for number in range(12) if number not in gap]
-    assert np.median(apart[others]) < 2.0
+    assert np.median(apart[others]) < films.BIAS
     assert np.median(apart[list(gap)], axis=1).max() < 6.0
 
 
