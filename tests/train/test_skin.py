@@ -1,5 +1,6 @@
 """The prior on skin's albedo: what was measured costs nothing, and what was not comes back."""
 
+import dataclasses
 import json
 import shutil
 
@@ -99,7 +100,7 @@ def test_skin_is_face_without_eyes_lips_and_hair():
 
 
 def test_a_head_without_masks_has_no_skin_that_is_known():
-    bare = small_template().__class__(**{**vars(small_template()), "masks": {}})
+    bare = dataclasses.replace(small_template(), masks={})
     assert not skin_faces(bare).any()
 
 
