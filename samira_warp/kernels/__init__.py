@@ -20,6 +20,7 @@ from samira_warp.kernels.raster.blending import Blended, blend
 from samira_warp.kernels.raster.projection import Projection, project
 from samira_warp.kernels.raster.rasterizer import Rasterized, rasterize
 from samira_warp.kernels.raster.tiles import TileBins, bin_tiles
+from samira_warp.kernels.rays.occlusion import unblocked
 from samira_warp.kernels.rays.ray_mesh import RayMesh
 from samira_warp.kernels.rays.visibility import visible
 from samira_warp.kernels.shading.deferred import shade_gbuffer
@@ -56,5 +57,6 @@ __all__ = [
     "sample_mips",
     "shade_gbuffer",
     "triangle_frames",
+    "unblocked",
     "visible",
 ]

@@ -116,6 +116,12 @@ CASES = {
         "background": torch.ones(5, 3),
     },
     "triangle_frames": lambda: dict(zip(("vertices", "topology"), mesh(), strict=True)),
+    "unblocked": lambda: {
+        "points": torch.ones(5, 3),
+        "normals": torch.ones(5, 3),
+        "mesh": RayMesh(torch.eye(3), torch.tensor([[0, 1, 2]])),
+        "directions": torch.ones(32, 3),
+    },
     "visible": lambda: {
         "points": torch.ones(5, 3),
         "mesh": RayMesh(torch.eye(3), torch.tensor([[0, 1, 2]])),
@@ -145,6 +151,7 @@ LEADING = {
     "rasterize_uv": ("vt", "ft"),
     "sample_cubemap": ("directions",),
     "shade_gbuffer": ("surface.albedo",),
+    "unblocked": ("points",),
     "visible": ("points",),
     "sample_mips": ("directions",),
     "FaceBinding.build": ("faces",),
