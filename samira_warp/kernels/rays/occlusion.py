@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from samira_warp.kernels.rays import occlusion_cuda
+from samira_warp.kernels.rays import occlusion_cpu, occlusion_cuda
 from samira_warp.kernels.rays.ray_mesh import RayMesh
 from samira_warp.support.errors import UserError
 from samira_warp.support.validation import check_tensors
@@ -50,5 +50,6 @@ def unblocked(
         raise UserError("directions", expected=f"a multiple of {WORD} directions", found=f"{len(directions)}")
     result = torch.empty(len(points), len(directions) // WORD, dtype=torch.int32, device=device)
     inputs = (points.contiguous(), normals.contiguous(), mesh, directions.contiguous(), offset)
-    occlusion_cuda.occlusion(*inputs, result)
+    side = occlusion_cuda if device.type == "cuda" else occlusion_cpu
+    side.occlusion(*inputs, result)
     return result

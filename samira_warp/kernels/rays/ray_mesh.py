@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import threading
 import weakref
 
 import torch
 import warp as wp
 from torch import Tensor
 
+from samira_warp.kernels.rays.block_tree import BlockTree
 from samira_warp.kernels.runtime import stream_of, warp_array
 from samira_warp.support.errors import UserError
 from samira_warp.support.validation import check_ids, check_tensor
@@ -61,12 +63,23 @@ class RayMesh:
         with stream_of(points.device):
             self._held = [wp.Mesh(points=warp_array(points, wp.vec3), indices=warp_array(corners, wp.int32))]
         self.id = int(self._held[0].id)
+        self._blocks: BlockTree | None = None
+        self._blocks_lock = threading.Lock()
         if points.device.type == "cuda":
             weakref.finalize(self, _free, self._held, points.device).atexit = False
 
     def __reduce__(self) -> tuple[type[RayMesh], tuple[Tensor, Tensor]]:
         """Copies build a tree of their own."""
         return RayMesh, (self.vertices, self.faces)
+
+    @property
+    def blocks(self) -> BlockTree:
+        """The tree for the CPU's vector instructions, which is built where it is first asked for."""
+        with self._blocks_lock:
+            if self._blocks is None:
+                points, corners = self._held[0].points, self._held[0].indices
+                self._blocks = BlockTree(wp.to_torch(points), wp.to_torch(corners).view(-1, 3))
+            return self._blocks
 
     def refit(self, vertices: Tensor) -> None:
         """Move the vertices, in torch's current stream: the boxes follow, the tree stays as it was built.
@@ -90,6 +103,8 @@ class RayMesh:
         self.vertices.copy_(vertices.detach())
         with stream_of(vertices.device):
             self._held[0].refit()
+        if self._blocks is not None:
+            self._blocks.refit(wp.to_torch(self._held[0].points))
 
 
 def _check_finite(vertices: Tensor) -> None:
