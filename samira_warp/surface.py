@@ -4,8 +4,12 @@ Gaussians carry a value of every channel, the rasteriser blends them, the G-buff
 shading reads it, layers draw it and edits change it: all of them follow this table, and so does the
 specification in `samira_warp.reference`. Reading the table loads neither torch nor Warp.
 
-A channel is added in three places: here; where it comes from, `Avatar.surface`; and where it is used, a
-parameter of its name in the kernels of `samira_warp.kernels.shading.deferred` and their twin in `reference`.
+Some channels are the surface's own; others say what of the light gets there past the rest of the head. Those
+are neutral until a light is chosen, and move no Gaussians (`avatar.gbuffer.blend_arrival`).
+
+A channel is added in three places: here; where it comes from, `Avatar.surface` or `avatar.occlusion`; and
+where it is used, a parameter of its name in the kernels of `samira_warp.kernels.shading.deferred` and their
+twin in `reference`.
 """
 
 from collections.abc import Callable
@@ -37,6 +41,7 @@ class Channel:
         edited: What a `MaterialEdit` may set it to, a "number" or a "color"; None cannot be edited.
         neutral: The value that leaves the shading as it is, for a surface that has none of its own; None has
             to be given.
+        of: Whether it is the surface's own, or says what of the light arrives.
     """
 
     width: Literal[1, 3]
@@ -46,6 +51,7 @@ class Channel:
     drawn: Literal["color", "amount", "balance"] = "amount"
     edited: Literal["number", "color"] | None = None
     neutral: float | None = None
+    of: Literal["surface", "light"] = "surface"
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,6 +74,14 @@ class Surface:
     """Factor tau^d on the diffuse light (Eq. response_shading)."""
     response_specular: Annotated["Tensor", Channel(1, 0.5, 1.5, drawn="balance", neutral=1.0)]
     """Factor tau^s on the specular light."""
+    visibility: Annotated["Tensor", Channel(3, neutral=1.0, of="light")]
+    """Share of the diffuse light that no other part of the head blocks, by colour."""
+    visibility_specular: Annotated["Tensor", Channel(1, neutral=1.0, of="light")]
+    """Share of the reflected lobe that is not blocked."""
+    ambient_occlusion: Annotated["Tensor", Channel(1, neutral=1.0, of="light")]
+    """Share o of a uniform sky that is not blocked, weighted by the cosine; 1 is in the open. What is blocked
+    returns light, from surfaces as bright as this one: E = v E_0 + a (1 - o) E, so that light that bounces
+    between them makes it E = v E_0 / (1 - a (1 - o))."""
 
     @classmethod
     def of(cls, **channels: "Tensor") -> "Surface":
@@ -104,5 +118,14 @@ CHANNELS: dict[str, Channel] = {
 }
 """The table: every channel of `Surface` by name, in order."""
 
-SURFACE_WIDTH = sum(channel.width for channel in CHANNELS.values())
-"""Numbers of all channels of a point together."""
+SURFACE_CHANNELS = [name for name, channel in CHANNELS.items() if channel.of == "surface"]
+"""Those of the surface itself, by name."""
+
+LIGHT_CHANNELS = [name for name, channel in CHANNELS.items() if channel.of == "light"]
+"""Those that say what of a light arrives."""
+
+SURFACE_WIDTH = sum(CHANNELS[name].width for name in SURFACE_CHANNELS)
+"""Numbers of a point's own channels together."""
+
+LIGHT_WIDTH = sum(CHANNELS[name].width for name in LIGHT_CHANNELS)
+"""Numbers that say what of a light arrives there."""

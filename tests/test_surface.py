@@ -11,7 +11,7 @@ from subjects import camera, parameters, small_avatar
 
 import samira_warp.surface
 from samira_warp.avatar import GBuffer
-from samira_warp.surface import CHANNELS, SURFACE_WIDTH, Surface
+from samira_warp.surface import CHANNELS, LIGHT_WIDTH, SURFACE_WIDTH, Surface
 
 REQUIRED = {
     "albedo": torch.full((2, 5, 3), 0.5, dtype=torch.float64),
@@ -23,7 +23,7 @@ REQUIRED = {
 
 def test_the_table_is_the_surfaces_fields():
     assert list(CHANNELS) == [field.name for field in fields(Surface)]
-    assert sum(channel.width for channel in CHANNELS.values()) == SURFACE_WIDTH
+    assert sum(channel.width for channel in CHANNELS.values()) == SURFACE_WIDTH + LIGHT_WIDTH
     for name, channel in CHANNELS.items():
         assert channel.low < channel.high, name
         assert channel.neutral is None or channel.low <= channel.neutral <= channel.high, name
@@ -76,7 +76,7 @@ def test_a_gbuffer_is_a_surface_and_where_it_is():
         gbuffer = small_avatar().render(parameters(0), camera(24)).gbuffer
     assert isinstance(gbuffer, Surface)
     assert list(gbuffer.channels()) == list(CHANNELS)
-    assert [field.name for field in fields(GBuffer)] == [*CHANNELS, "depth", "alpha", "screen"]
+    assert [field.name for field in fields(GBuffer)] == [*CHANNELS, "depth", "alpha", "screen", "splats"]
     assert type(gbuffer.map(lambda values: values)) is Surface
 
 
@@ -114,7 +114,7 @@ assert torch.allclose(picture, gbuffer.alpha * gbuffer.gleam / 2 + 1 - gbuffer.a
 # nothing shades it yet: the image is what it was and sends it no gradient, and it is checked all the same
 surface = avatar.surface(avatar.move(frame)).map(lambda values: values.detach().requires_grad_())
 maps = [torch.rand(6, size, size, 3) for size in (4, 8, 4)]
-light, view = FilteredLight(maps[0], tuple(maps[1:])), surface.normal.detach()
+light, view = FilteredLight(maps[0], tuple(maps[1:]), maps[0]), surface.normal.detach()
 shaded = shade(surface, view, light)
 grads = torch.autograd.grad(shaded.image.sum(), list(surface.channels().values()), allow_unused=True)
 assert [grad is None for grad in grads] == [name == "gleam" for name in module.CHANNELS]

@@ -14,7 +14,8 @@ from torch import nn
 from samira_warp.avatar.canonical import CanonicalHead
 from samira_warp.avatar.editing import MaterialEdit, edit_materials
 from samira_warp.avatar.gaussians import Gaussians
-from samira_warp.avatar.gbuffer import GBuffer, render_gbuffer
+from samira_warp.avatar.gbuffer import GBuffer, blend_arrival, render_gbuffer
+from samira_warp.avatar.occlusion import Occluder, Occlusion, gaussian_arrival, vertex_arrival
 from samira_warp.avatar.residual import axis_angle_to_quaternion, limit_residual, quaternion_product
 from samira_warp.avatar.response import response_factors, response_map
 from samira_warp.avatar.settings import AvatarSettings
@@ -119,6 +120,7 @@ class Avatar(nn.Module):
         self.statistics = statistics
         self.response_logits = nn.Parameter(torch.zeros(len(REGIONS), 2))
         self.light = light
+        self.occluder = Occluder(canonical.vertices, canonical.topology)
         self.set_gaussians(gaussians)
 
     def set_gaussians(self, gaussians: Gaussians) -> None:
@@ -127,11 +129,13 @@ class Avatar(nn.Module):
         size = self.settings.uv_size
         self.binding = FaceBinding.build(gaussians.faces, len(self.canonical.topology.faces))
         self.uv_samples: GatherTable = bilinear_table(gaussians.uv, width=size, height=size)
+        self.corners = corner_table(gaussians.uv, gaussians.faces, canonical=self.canonical)
 
     def _apply(self, function: Callable[[torch.Tensor], torch.Tensor], recurse: bool = True) -> Avatar:
         """Move the constant tables along with the parameters (torch's hook behind ``to``)."""
         super()._apply(function, recurse)
         self.canonical = self.canonical.to(self.gaussians.means.device)
+        self.occluder = Occluder(self.canonical.vertices, self.canonical.topology)
         self.set_gaussians(self.gaussians)
         return self
 
@@ -206,6 +210,7 @@ class Avatar(nn.Module):
         *,
         background: torch.Tensor | float = 1.0,
         edits: Sequence[MaterialEdit] = (),
+        shadows: bool = True,
     ) -> Rendering:
         """Render one frame.
 
@@ -217,6 +222,8 @@ class Avatar(nn.Module):
             background: Display values behind the head: a number, or float32 (3,) or (H, W, 3) on any device,
                 such as `Environment.background`.
             edits: Changes to the materials, applied in their order.
+            shadows: Let the head block the light. An avatar that learned its light without shadows, and
+                painted them into the rest, casts none under that light.
 
         Raises:
             UserError: The background is of another shape or dtype.
@@ -230,7 +237,9 @@ class Avatar(nn.Module):
             light = light.filtered()
         if isinstance(background, torch.Tensor):
             background = background.to(device)
-        return self.shade(motion, gbuffer, camera, light, background=background)
+        casts = shadows and (self.settings.visibility or environment is not None)
+        occlusion = self.occluder.occlude(motion.head) if casts else None
+        return self.shade(motion, gbuffer, camera, light, background=background, occlusion=occlusion)
 
     def shade(
         self,
@@ -240,17 +249,29 @@ class Avatar(nn.Module):
         light: FilteredLight,
         *,
         background: torch.Tensor | float = 1.0,
+        occlusion: Occlusion | None = None,
     ) -> Rendering:
         """Deferred shading and compositing of a G-buffer (Eqs. response_shading to alpha_compose).
 
-        Arguments as for `render`, but on the avatar's device.
+        Arguments as for `render`, but on the avatar's device; ``occlusion`` is that of the motion's head
+        (`Avatar.occluder`), and without it nothing blocks the light.
 
         Raises:
             UserError: The background is of another shape or dtype, or on another device.
         """
+        if occlusion is not None:
+            gbuffer = blend_arrival(gbuffer, self.arrival(occlusion, light, camera))
         color_space = self.settings.color_space
         shaded = _shade_pixels(gbuffer, camera, light, background=background, color_space=color_space)
         return Rendering(shaded.image, gbuffer, shaded.irradiance, shaded.specular_light, motion, color_space)
+
+    def arrival(self, occlusion: Occlusion, light: FilteredLight, camera: Camera) -> torch.Tensor:
+        """What of a light arrives at every Gaussian: the channels of light, (N, 5), side by side.
+
+        Differentiable in the light alone.
+        """
+        at_gaussians = gather(vertex_arrival(occlusion, light, camera), self.corners)
+        return gaussian_arrival(at_gaussians, self.gaussians.roughness.detach()[:, None])
 
     def display(self, values: torch.Tensor) -> torch.Tensor:
         """Albedo or radiance as a picture.
@@ -315,6 +336,29 @@ class Avatar(nn.Module):
             )
             avatar.load_state_dict(stored.state)
         return avatar.to(device)
+
+
+def corner_table(uv: torch.Tensor, faces: torch.Tensor, *, canonical: CanonicalHead) -> GatherTable:
+    """The map from values of vertices to Gaussians: barycentric, where the atlas has them on their faces.
+
+    Args:
+        uv: (N, 2) places in the atlas.
+        faces: (N,) int32 faces.
+        canonical: The head.
+    """
+    atlas = canonical.atlas
+    corners = atlas.vt[atlas.ft[faces.long()].long()].double()
+    edges = (corners[:, 1:] - corners[:, :1]).mT
+    area = torch.linalg.det(edges)
+    place = (uv.detach().double() - corners[:, 0])[..., None]
+    flat = area.abs() <= 1e-12
+    edges = torch.where(flat[:, None, None], torch.eye(2, dtype=edges.dtype, device=edges.device), edges)
+    second_third = torch.linalg.solve(edges, place)[..., 0]
+    weights = torch.cat([1.0 - second_third.sum(dim=1, keepdim=True), second_third], dim=1).clamp(0.0, 1.0)
+    weights = torch.where(flat[:, None], 1.0, weights)
+    weights = weights / weights.sum(dim=1, keepdim=True)
+    vertices = canonical.topology.faces[faces.long()]
+    return GatherTable.build(vertices, weights.float(), sources=canonical.topology.vertex_count)
 
 
 def conditions_of(parameters: FrameParameters) -> Conditions:

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from samira_warp.geometry.camera import Camera
-from samira_warp.kernels.raster.rasterizer import rasterize
+from samira_warp.kernels.raster.rasterizer import ScreenSplats, blend_again, rasterize
 from samira_warp.kernels.shading.checks import check_surface
 from samira_warp.support.constants import COVERED_ALPHA
-from samira_warp.surface import CHANNELS, Surface
+from samira_warp.support.validation import check_tensor
+from samira_warp.surface import CHANNELS, LIGHT_CHANNELS, SURFACE_CHANNELS, Surface
 
 
 class ScreenGaussians(NamedTuple):
@@ -35,11 +36,13 @@ class GBuffer(Surface):
         depth: (H, W, 1) metres along the camera's axis.
         alpha: (H, W, 1) coverage, 0..1.
         screen: The Gaussians in the image plane.
+        splats: The same as constants, to blend more of them.
     """
 
     depth: Tensor
     alpha: Tensor
     screen: ScreenGaussians
+    splats: ScreenSplats
 
 
 def render_gbuffer(
@@ -57,24 +60,51 @@ def render_gbuffer(
         quaternions: (N, 4) w, x, y, z.
         scales: (N, 3) metres.
         opacities: (N,).
-        surface: Channels (N, width) of the Gaussians.
+        surface: Channels (N, width) of the Gaussians; those of light are left for `blend_arrival`.
         camera: The view.
 
     Returns:
-        The blended sums divided by max(alpha, 1/255), directions renormalised.
+        The blended sums divided by max(alpha, 1/255), directions renormalised; channels of light are neutral.
 
     Raises:
         UserError: A wrong shape, dtype or device.
     """
     check_surface(surface, count=means.shape[0], device=means.device)
     depths = (means - camera.center) @ camera.world_to_camera[2, :3]
-    features = torch.cat([*surface.channels().values(), depths[:, None]], dim=1)
+    own = [getattr(surface, name) for name in SURFACE_CHANNELS]
+    features = torch.cat([*own, depths[:, None]], dim=1)
     blended = rasterize(means, quaternions, scales, opacities, features, camera)
     if blended.means2d.requires_grad:
         blended.means2d.retain_grad()
     alpha = blended.alpha[..., None]
     straight = blended.features / alpha.clamp(min=COVERED_ALPHA)
-    *sums, depth = straight.split([*(channel.width for channel in CHANNELS.values()), 1], dim=-1)
-    seen = Surface(*sums).map(lambda mean: torch.nn.functional.normalize(mean, dim=-1), blend="direction")
+    *sums, depth = straight.split([*(CHANNELS[name].width for name in SURFACE_CHANNELS), 1], dim=-1)
+    means_of = dict(zip(SURFACE_CHANNELS, sums, strict=True))
+    seen = Surface.of(**means_of).map(
+        lambda mean: torch.nn.functional.normalize(mean, dim=-1), blend="direction"
+    )
     screen = ScreenGaussians(blended.means2d, blended.visible)
-    return GBuffer(**seen.channels(), depth=depth, alpha=alpha, screen=screen)
+    return GBuffer(**seen.channels(), depth=depth, alpha=alpha, screen=screen, splats=blended.splats)
+
+
+def blend_arrival(gbuffer: GBuffer, arrival: Tensor) -> GBuffer:
+    """Blend what of a light arrives at the Gaussians into a G-buffer.
+
+    It is differentiable in ``arrival`` alone: shadows do not move Gaussians.
+
+    Args:
+        gbuffer: As the Gaussians were rasterised.
+        arrival: (N, C) float32, the channels of light side by side, in the table's order.
+
+    Returns:
+        The G-buffer with those channels; neutral where next to nothing covers a pixel.
+
+    Raises:
+        UserError: A wrong shape, dtype or device.
+    """
+    widths = [CHANNELS[name].width for name in LIGHT_CHANNELS]
+    check_tensor("arrival", arrival, shape=("N", sum(widths)), device=gbuffer.alpha.device)
+    alpha = gbuffer.alpha.detach()
+    straight = blend_again(gbuffer.splats, arrival) / alpha.clamp(min=COVERED_ALPHA)
+    straight = torch.where(alpha >= COVERED_ALPHA, straight, 1.0)
+    return replace(gbuffer, **dict(zip(LIGHT_CHANNELS, straight.split(widths, dim=-1), strict=True)))

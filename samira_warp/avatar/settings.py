@@ -22,6 +22,8 @@ class AvatarSettings:
         residual_frame: Axes of the residual: "world" is Eq. final_motion; "head" turns with the head joint.
         color_space: "srgb" shades in linear light and encodes; "raw" shades in image values.
         tied_light: The learned light is one map for diffuse and specular light, instead of two.
+        visibility: The head blocked its learned light while it was learned; False has painted the shadows
+            that it cast into the rest.
     """
 
     uv_size: int = 256
@@ -32,3 +34,4 @@ class AvatarSettings:
     residual_frame: Literal["world", "head"] = "world"
     color_space: Literal["srgb", "raw"] = "srgb"
     tied_light: bool = False
+    visibility: bool = True

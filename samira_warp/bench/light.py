@@ -139,7 +139,7 @@ def _shade_ms(device: torch.device) -> dict[str, float]:
     surface = Surface(**{**channels, "normal": normal}).map(lambda values: values.to(device).requires_grad_())
     learned = LearnableLight(torch.ones(3)).to(device)()
     irradiance_map, *mips = maps = [mip.detach().requires_grad_() for mip in _maps(learned)]
-    light = FilteredLight(irradiance_map, tuple(mips))
+    light = FilteredLight(irradiance_map, tuple(mips), learned.radiance.detach())
     times = {}
     for name, covered in (("shade", 1.0), ("shade_quarter", 0.25)):
         alpha = (

@@ -156,7 +156,7 @@ class Environment:
         # Sums over the cube's parities round to some 1e-7 of the brightest light, which may fall below 0
         # where no light is.
         maps = light.irradiance.clamp(min=0), tuple(mip.clamp(min=0) for mip in light.specular)
-        return FilteredLight(*maps, self.rotate, self.exposure)
+        return FilteredLight(*maps, light.radiance, self.rotate, self.exposure)
 
     def background(self, camera: Camera, *, color_space: ColorSpace = "srgb") -> Tensor:
         """(H, W, 3) display values that the camera sees behind the head, 0 to 1: a background to render with.

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from samira_warp.kernels.cubemap.filter import irradiance, prefilter
+from samira_warp.kernels.cubemap.layout import texel_solid_angles
 from samira_warp.light.equirect import check_degrees
 from samira_warp.support.errors import UserError
 from samira_warp.support.exposure import check_exposure
@@ -19,6 +20,10 @@ a small sun between two mips to several times what it is at 0.35, and ten times 
 
 IRRADIANCE_SIZE = 16
 """Texels along a face of the irradiance map: a cosine lobe holds nothing finer."""
+
+SHADOW_SIZE = 16
+"""Texels along a face of the radiance that shadows are summed of: finer than the directions of
+`samira_warp.avatar.occlusion`."""
 
 _SHRINK = (2, 2, 4, 4, 8, 8, 8, 8)
 """The base's size over that of the filtered mips."""
@@ -34,12 +39,14 @@ class FilteredLight:
         irradiance: (6, 16, 16, 3) float32, E_d: the cosine-weighted mean radiance about each direction.
         specular: Mips (6, S, S, 3) float32: the radiance itself, then E_s at every ROUGHNESS_STEP up to a
             roughness of 1.
+        radiance: (6, 16, 16, 3) float32: the radiance that diffuse surfaces see, for cast shadows.
         rotate: Degrees by which the light is turned about the vertical, as `Environment.rotate`.
         exposure: Factor on its radiance.
     """
 
     irradiance: Tensor
     specular: tuple[Tensor, ...]
+    radiance: Tensor
     rotate: float = 0.0
     exposure: float = 1.0
 
@@ -55,12 +62,14 @@ class FilteredLight:
         """
         base = specular.shape[1]
         ladder = [(ROUGHNESS_STEP * (k + 1), base // shrink) for k, shrink in enumerate(_SHRINK)]
-        return cls(irradiance(diffuse, size=IRRADIANCE_SIZE), prefilter(specular, ladder=ladder))
+        filtered = irradiance(diffuse, size=IRRADIANCE_SIZE), prefilter(specular, ladder=ladder)
+        return cls(*filtered, _shrink(diffuse, size=SHADOW_SIZE))
 
     def to(self, device: torch.device | str) -> FilteredLight:
         """The same light on ``device``."""
         moved = tuple(mip.to(device) for mip in self.specular)
-        return replace(self, irradiance=self.irradiance.to(device), specular=moved)
+        irradiance, radiance = self.irradiance.to(device), self.radiance.to(device)
+        return replace(self, irradiance=irradiance, specular=moved, radiance=radiance)
 
     def turned(self, degrees: float) -> FilteredLight:
         """The same light turned by so many degrees more.
@@ -81,3 +90,20 @@ class FilteredLight:
             raise UserError("exposure", expected="a factor, once a light is filtered", found=factor)
         check_exposure(factor)
         return replace(self, exposure=self.exposure * factor)
+
+
+def _shrink(cubemap: Tensor, *, size: int) -> Tensor:
+    """The map with faces of ``size`` texels at most: means by solid angle of k x k texels each.
+
+    A map whose faces cannot be divided so keeps the least number of texels above it that they can.
+    """
+    own = cubemap.shape[1]
+    factor = next(k for k in range(max(own // size, 1), 0, -1) if own % k == 0)
+    if factor == 1:
+        return cubemap
+    areas = texel_solid_angles(own, device=cubemap.device)[None, :, :, None]
+
+    def sums(texels: Tensor) -> Tensor:
+        return texels.unflatten(2, (-1, factor)).unflatten(1, (-1, factor)).sum(dim=(2, 4))
+
+    return sums(areas * cubemap) / sums(areas)

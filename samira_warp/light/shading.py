@@ -26,8 +26,9 @@ def shade(
 ) -> Shaded:
     """Shade M points of a G-buffer and compose them with what is behind.
 
-    L_d = tau_d E_d(n), L_s = tau_s E_s(reflect(v, n), rho), C_fg = a (1 - f) L_d + L_s (f B_x + B_y), and
-    I = alpha encode(C_fg) + (1 - alpha) background; E_d and E_s are the light's as it is turned and exposed.
+    L_d = tau_d v_d E_d(n) / (1 - a (1 - o)), L_s = tau_s v_s E_s(reflect(v, n), rho), C_fg = a (1 - f) L_d +
+    L_s (f B_x + B_y), and I = alpha encode(C_fg) + (1 - alpha) background; E_d and E_s are the light's as it
+    is turned and exposed, and v_d, v_s and o the surface's channels of what arrives (1 in the open).
 
     Args:
         surface: Channels (M, width) float32. A point with a zero normal sees no light and gets no gradient;

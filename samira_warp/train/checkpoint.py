@@ -16,6 +16,7 @@ from samira_warp.avatar.storage import POSE_PARTS, joined_poses
 from samira_warp.io.files import read_json, replace_folder, save_tensors
 from samira_warp.support.errors import UserError
 from samira_warp.train.density import DensityStatistics
+from samira_warp.train.occlusions import FrameOcclusions
 from samira_warp.train.row_adam import RowAdam
 from samira_warp.train.tracking import TrackedParameters
 
@@ -33,6 +34,7 @@ class TrainingState(NamedTuple):
         step: Number of steps done.
         avatar: The avatar.
         tracked: The training frames' parameters.
+        occlusions: What the head blocks in them.
         optimizer: Adam, with its moments.
         density: Statistics since the last density control event.
     """
@@ -40,6 +42,7 @@ class TrainingState(NamedTuple):
     step: int
     avatar: Avatar
     tracked: TrackedParameters
+    occlusions: FrameOcclusions
     optimizer: RowAdam
     density: DensityStatistics
 
@@ -86,10 +89,8 @@ def checkpoint_step(path: Path) -> int:
     return step
 
 
-def load_training(
-    path: Path, optimizer: RowAdam, tracked: TrackedParameters, density: DensityStatistics
-) -> int:
-    """Put a checkpoint's training state into objects that were made for its avatar.
+def load_training(path: Path, state: TrainingState) -> int:
+    """Put a checkpoint's training state into that of a trainer that was made for its avatar.
 
     Returns:
         The number of steps done.
@@ -103,38 +104,38 @@ def load_training(
         raise UserError(path / TRAINING_FILE, expected="the training state", found=error) from error
     try:
         tensors = _with_joined_poses(tensors)
-        tracked.load_state_dict(
-            {
-                name.removeprefix("tracked."): value
-                for name, value in tensors.items()
-                if name.startswith("tracked.")
-            }
-        )
-        density.gradient.copy_(tensors["density.gradient"])
-        density.views.copy_(tensors["density.views"])
+        state.tracked.load_state_dict(_named(tensors, "tracked."))
+        if state.avatar.settings.visibility:
+            state.occlusions.load_state(_named(tensors, "occlusions."))
+        state.density.gradient.copy_(tensors["density.gradient"])
+        state.density.views.copy_(tensors["density.views"])
     except (KeyError, RuntimeError) as error:
         misfit = str(error).splitlines()[-1].strip()
         raise UserError(
             path / TRAINING_FILE, expected="the training state of the avatar beside it", found=misfit
         ) from error
-    for group in optimizer.param_groups:
+    for group in state.optimizer.param_groups:
         for index, parameter in enumerate(group["params"]):
-            prefix = f"adam.{group['name']}.{index}."
-            moments = {
-                name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)
-            }
+            moments = _named(tensors, f"adam.{group['name']}.{index}.")
             if moments and group.get("rows") and moments["step"].dim() == 0:
                 # older versions stepped all rows together
                 moments["step"] = moments["step"].expand(len(parameter)).clone()
             if moments:
-                optimizer.state[parameter] = {
+                state.optimizer.state[parameter] = {
                     name: value.to(parameter.device) for name, value in moments.items()
                 }
     return checkpoint_step(path)
 
 
+def _named(tensors: dict[str, torch.Tensor], prefix: str) -> dict[str, torch.Tensor]:
+    """Those whose name begins so, by the rest of it."""
+    return {name.removeprefix(prefix): value for name, value in tensors.items() if name.startswith(prefix)}
+
+
 def _training_tensors(state: TrainingState) -> dict[str, torch.Tensor]:
     tensors = {f"tracked.{name}": value for name, value in state.tracked.state_dict().items()}
+    if state.avatar.settings.visibility:
+        tensors |= {f"occlusions.{name}": value for name, value in state.occlusions.state().items()}
     tensors |= {"density.gradient": state.density.gradient, "density.views": state.density.views}
     for group in state.optimizer.param_groups:
         for index, parameter in enumerate(group["params"]):

@@ -21,6 +21,7 @@ Ablation = Literal[
     "no-normal-prior",
     "no-albedo",
     "no-mask",
+    "no-visibility",
 ]
 
 PresetName = Literal["cpu", "paper"]

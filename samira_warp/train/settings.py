@@ -88,6 +88,7 @@ class Settings:
             residual_frame=self.residual_frame,
             color_space=self.color_space,
             tied_light=self.tie_light,
+            visibility="no-visibility" not in self.ablate,
         )
 
     def as_json(self) -> dict[str, Any]:

@@ -19,6 +19,7 @@ from samira_warp.train.density import DensityStatistics, control_density, reset_
 from samira_warp.train.interrupt import StopRequest
 from samira_warp.train.log import RunLog
 from samira_warp.train.losses import Target, linear_albedo, loss_weights, total_loss
+from samira_warp.train.occlusions import FrameOcclusions
 from samira_warp.train.optimizer import make_optimizer, replace_gaussians, reset_moments, set_rates
 from samira_warp.train.plan import TrainPlan
 from samira_warp.train.skin import skin_faces
@@ -49,13 +50,14 @@ class Trainer:
         self.device = torch.device(plan.settings.device)
         self.skin = _held_skin(plan, sequence, self.device)
         self.tracked = TrackedParameters(sequence.batch(sequence.train)).to(self.device)
+        self.occlusions = FrameOcclusions(avatar.canonical, avatar.occluder, self.tracked)
         self.optimizer = make_optimizer(avatar, self.tracked)
         self.density = DensityStatistics(len(avatar.gaussians), self.device)
         self.step = self.saved = 0
 
     def resume(self, checkpoint: Path) -> None:
         """Go on from a checkpoint, whose avatar this trainer was made with."""
-        self.step = self.saved = load_training(checkpoint, self.optimizer, self.tracked, self.density)
+        self.step = self.saved = load_training(checkpoint, self._state())
 
     def run(self, folder: Path, *, record: dict[str, Any]) -> bool:
         """Train to the end of the schedule, with checkpoints and previews in ``folder``.
@@ -79,8 +81,7 @@ class Trainer:
 
     def save(self, folder: Path, record: dict[str, Any]) -> Path:
         """Write a checkpoint of the current step."""
-        state = TrainingState(self.step, self.avatar, self.tracked, self.optimizer, self.density)
-        path = save_checkpoint(folder / CHECKPOINTS_FOLDER, state, record=record)
+        path = save_checkpoint(folder / CHECKPOINTS_FOLDER, self._state(), record=record)
         self.saved = self.step
         return path
 
@@ -101,7 +102,7 @@ class Trainer:
         set_rates(self.optimizer, step=self.step, steps=self.schedule.steps)
         frame, target = self._target(row)
         camera = self.camera(frame)
-        rendering = self.avatar.render(self.tracked.frame(row, frame.parameters.to(self.device)), camera)
+        rendering = self._render(row, frame, camera)
         perceptual = (
             self.perceptual if self.schedule.perceptual_on(self.step) and self._perceptual_turn() else None
         )
@@ -122,6 +123,21 @@ class Trainer:
         self.step += 1
         error = (rendering.image.detach() - target.image).square().mean()
         return rendering, target, {**{name: term.detach() for name, term in terms.items()}, "mse": error}
+
+    def _render(self, row: int, frame: Frame, camera: Camera) -> Rendering:
+        """`Avatar.render` of a training frame under the learned light, with what was traced of it before."""
+        avatar = self.avatar
+        parameters = self.tracked.frame(row, frame.parameters.to(self.device))
+        motion = avatar.move(parameters)
+        gbuffer = avatar.rasterize(motion, camera)
+        casts = avatar.settings.visibility
+        occlusion = self.occlusions.of(row, parameters, motion.head) if casts else None
+        return avatar.shade(motion, gbuffer, camera, avatar.light(), occlusion=occlusion)
+
+    def _state(self) -> TrainingState:
+        return TrainingState(
+            self.step, self.avatar, self.tracked, self.occlusions, self.optimizer, self.density
+        )
 
     def camera(self, frame: Frame) -> Camera:
         """The frame's camera at the training resolution, on the device."""

@@ -7,7 +7,7 @@ from subjects import camera
 from samira_warp.avatar.gbuffer import render_gbuffer
 from samira_warp.support.constants import COVERED_ALPHA
 from samira_warp.support.errors import UserError
-from samira_warp.surface import CHANNELS, Surface
+from samira_warp.surface import CHANNELS, LIGHT_CHANNELS, SURFACE_CHANNELS, Surface
 
 VALUES = {"roughness": 0.3, "specular": 0.04, "response_diffuse": 1.2, "response_specular": 0.7}
 
@@ -67,8 +67,10 @@ def test_depth_of_a_plane_is_its_distance_along_the_axis(device, generator):
 def test_nothing_is_where_nothing_is(device, generator):
     placed = gaussians_on_a_plane(3, generator, depth=-1.0, device=device)
     g = render_gbuffer(*placed, constant_surface(3, device), camera(16, device=device))
-    for name in (*CHANNELS, "depth", "alpha"):
+    for name in (*SURFACE_CHANNELS, "depth", "alpha"):
         assert (getattr(g, name) == 0).all()
+    for name in LIGHT_CHANNELS:
+        assert (getattr(g, name) == 1).all()
     assert not g.screen.visible.any()
 
 

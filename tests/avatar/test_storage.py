@@ -134,9 +134,12 @@ def test_a_broken_file_is_named(copy, name, damage):
 def as_older(folder, version):
     """Make an avatar folder what an older version would have written."""
     description = json.loads((folder / "avatar.json").read_text())
+    del description["settings"]["visibility"]
     if version == 1:
         del description["settings"]["tied_light"]
     (folder / "avatar.json").write_text(json.dumps({**description, "format": version}))
+    if version >= 3:
+        return folder
     path = folder / "frames.safetensors"
     with safe_open(path, framework="pt") as file:
         metadata = file.metadata()
@@ -148,11 +151,11 @@ def as_older(folder, version):
     return folder
 
 
-@pytest.mark.parametrize("version", [1, 2])
+@pytest.mark.parametrize("version", [1, 2, 3])
 def test_folders_of_older_versions_are_read(saved, copy, version):
     avatar, folder = saved
     loaded = Avatar.load(as_older(copy, version))
-    assert loaded.settings == avatar.settings
+    assert loaded.settings == replace(avatar.settings, visibility=False)
     assert all(torch.equal(value, loaded.state_dict()[name]) for name, value in avatar.state_dict().items())
     for before, after in zip(read_frames(folder), read_frames(copy), strict=True):
         assert (before.name, before.part) == (after.name, after.part)
@@ -175,7 +178,7 @@ def test_a_missing_part_of_an_older_versions_frames_is_named(copy, name):
 def test_an_older_folder_is_not_written_into(copy):
     frames = read_frames(copy)
     as_older(copy, 2)
-    refuses(copy, copy, "format 3", "found format 2", load=lambda folder: write_frames(folder, frames))
+    refuses(copy, copy, "format 4", "found format 2", load=lambda folder: write_frames(folder, frames))
     assert len(read_frames(copy)) == 1
     Avatar.load(copy).save(copy, record={})
     write_frames(copy, frames)
@@ -183,7 +186,7 @@ def test_an_older_folder_is_not_written_into(copy):
 
 
 def test_what_is_written_says_its_version(saved):
-    assert json.loads((saved[1] / "avatar.json").read_text())["format"] == 3
+    assert json.loads((saved[1] / "avatar.json").read_text())["format"] == 4
     assert "rotations" in tensor_names(saved[1] / "frames.safetensors")
 
 
@@ -206,7 +209,7 @@ def test_a_tied_light_is_one_map_and_comes_back(tmp_path):
 def test_an_unknown_version_is_refused_with_those_that_are_read(copy, version, found, load):
     description = json.loads((copy / "avatar.json").read_text())
     (copy / "avatar.json").write_text(json.dumps({**description, "format": version}))
-    refuses(copy, copy / "avatar.json", "an avatar of format 1 to 3", f"found {found}", load=load)
+    refuses(copy, copy / "avatar.json", "an avatar of format 1 to 4", f"found {found}", load=load)
 
 
 def test_a_description_of_another_kind_is_refused(copy):

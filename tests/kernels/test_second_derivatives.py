@@ -46,7 +46,7 @@ def bound(device, means):
 def shaded(device, albedo):
     one, normal = torch.ones(4, 1, device=device), torch.eye(4, 3, device=device)
     surface = Surface.of(albedo=albedo, normal=normal, roughness=one, specular=one)
-    light = FilteredLight(torch.ones(6, 2, 2, 3, device=device), (torch.ones(6, 2, 2, 3, device=device),) * 2)
+    light = FilteredLight(*(lambda one: (one, (one,) * 2, one))(torch.ones(6, 2, 2, 3, device=device)))
     return shade(surface, normal, light).color
 
 

@@ -54,7 +54,7 @@ def tensors(surface):
 
 def make_light(generator, device, *, sizes=(4,) * 6):
     maps = [single(torch.rand(6, size, size, 3, generator=generator), device) for size in sizes]
-    return FilteredLight(maps[0], tuple(maps[1:]))
+    return FilteredLight(maps[0], tuple(maps[1:]), maps[0])
 
 
 def maps_of(light):
@@ -166,7 +166,11 @@ def test_a_light_is_turned_and_exposed_as_the_reference_is(device, generator):
         background=torch.zeros(1, 3),
     )
     inner = [single(values, device) for values in exact]
-    light = FilteredLight(inner[-len(maps)], tuple(inner[1 - len(maps) :])).turned(50).exposed(0.7)
+    light = (
+        FilteredLight(inner[-len(maps)], tuple(inner[1 - len(maps) :]), inner[-len(maps)])
+        .turned(50)
+        .exposed(0.7)
+    )
     surface = Surface(**dict(zip(CHANNELS, inner, strict=False)))
     found = shade(surface, inner[len(CHANNELS)], light, background=0.0)
     for value, wanted in zip(found, expected, strict=True):
@@ -286,7 +290,7 @@ def test_borders_of_the_brdf_table_give_the_gradients_of_the_reference(device, g
     view = as_single(cosine * normal + torch.sqrt(1 - cosine**2) * across)
     # Light without a slope leaves the table's slopes alone; single precision decides on which side of 1 and 0
     # n . v lies.
-    light = FilteredLight(*(lambda one: (one, (one,) * 5))(torch.ones(6, 2, 2, 3, device=device)))
+    light = FilteredLight(*(lambda one: (one, (one,) * 5, one))(torch.ones(6, 2, 2, 3, device=device)))
     twin = surface.map(lambda values: values.clone().requires_grad_())
     wanted = reference.shade_gbuffer(
         twin,
@@ -381,11 +385,11 @@ def test_maps_that_are_no_cubes_are_refused(generator):
     surface, view = single_points(4, generator, torch.device("cpu"))
     cube, oblong = torch.ones(6, 2, 2, 3), torch.ones(6, 2, 4, 3)
     with pytest.raises(UserError, match=r"irradiance: expected .* \(6, S, S, 3\), found"):
-        shade(surface, view, FilteredLight(oblong, (cube,)))
+        shade(surface, view, FilteredLight(oblong, (cube,), cube))
     with pytest.raises(UserError, match=r"mips\[2\]: expected .* \(6, S, S, 3\), found"):
-        shade(surface, view, FilteredLight(cube, (cube, cube, oblong)))
+        shade(surface, view, FilteredLight(cube, (cube, cube, oblong), cube))
     with pytest.raises(UserError, match="mips: expected at least one"):
-        shade(surface, view, FilteredLight(cube, ()))
+        shade(surface, view, FilteredLight(cube, (), cube))
     options = {"irradiance": cube, "mips": (cube,), "background": torch.ones(1, 3)}
     for brdf, expected in (
         (torch.ones(8, 7, 2), r".* \(N, N, 2\)"),
@@ -417,7 +421,11 @@ def test_the_background_is_a_constant(device, generator):
     surface, view = single_points(5, generator, device)
     constant = surface.map(Tensor.detach), view.detach()
     light = make_light(generator, device, sizes=(2, 2, 2))
-    light = FilteredLight(light.irradiance.detach(), tuple(mip.detach() for mip in light.specular))
+    light = replace(
+        light,
+        irradiance=light.irradiance.detach(),
+        specular=tuple(mip.detach() for mip in light.specular),
+    )
     background = torch.rand(5, 3, device=device, requires_grad=True)
     assert not shade(*constant, light, background=background).image.requires_grad
 

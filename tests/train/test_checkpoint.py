@@ -7,6 +7,7 @@ from samira_warp import Avatar, UserError
 from samira_warp.head import FrameParameters
 from samira_warp.train.checkpoint import KEPT, TrainingState, last_checkpoint, load_training, save_checkpoint
 from samira_warp.train.density import DensityStatistics
+from samira_warp.train.occlusions import FrameOcclusions
 from samira_warp.train.optimizer import make_optimizer, set_rates
 from samira_warp.train.tracking import TrackedParameters
 
@@ -30,16 +31,31 @@ def state():
     density = DensityStatistics(len(avatar.gaussians), torch.device("cpu"))
     density.gradient.uniform_()
     density.views.random_(1, 9)
-    return TrainingState(7, avatar, tracked, optimizer, density)
+    occlusions = FrameOcclusions(avatar.canonical, avatar.occluder, tracked)
+    for row in (0, 2):
+        frame = tracked.frame(row, parameters(row))
+        occlusions.of(row, frame, avatar.canonical.pose(frame))
+    return TrainingState(7, avatar, tracked, occlusions, optimizer, density)
+
+
+def fresh_state(avatar):
+    """A state at its start, for an avatar."""
+    tracked = tracked_frames()
+    density = DensityStatistics(len(avatar.gaussians), torch.device("cpu"))
+    occlusions = FrameOcclusions(avatar.canonical, avatar.occluder, tracked)
+    return TrainingState(0, avatar, tracked, occlusions, make_optimizer(avatar, tracked), density)
 
 
 def test_everything_that_changes_comes_back(state, tmp_path):
     path = save_checkpoint(tmp_path, state, record={"subject": "tiny"})
     assert path == last_checkpoint(tmp_path) == tmp_path / "step_000007"
-    avatar, tracked = Avatar.load(path), tracked_frames()
-    optimizer = make_optimizer(avatar, tracked)
-    density = DensityStatistics(len(avatar.gaussians), torch.device("cpu"))
-    assert load_training(path, optimizer, tracked, density) == 7
+    fresh = fresh_state(Avatar.load(path))
+    _, avatar, tracked, occlusions, optimizer, density = fresh
+    assert load_training(path, fresh) == 7
+    assert occlusions.traced.tolist() == [True, False, True]
+    assert all(
+        torch.equal(values, occlusions.state()[name]) for name, values in state.occlusions.state().items()
+    )
     assert torch.equal(density.gradient, state.density.gradient)
     assert torch.equal(density.views, state.density.views)
     for before, after in ((state.avatar, avatar), (state.tracked, tracked)):
@@ -75,10 +91,9 @@ def as_before_joints_had_names(path):
 def test_an_older_checkpoint_is_gone_on_from(state, tmp_path):
     path = save_checkpoint(tmp_path, state, record={})
     as_before_joints_had_names(path)
-    avatar, tracked = Avatar.load(path), tracked_frames()
-    optimizer = make_optimizer(avatar, tracked)
-    density = DensityStatistics(len(avatar.gaussians), torch.device("cpu"))
-    assert load_training(path, optimizer, tracked, density) == 7
+    fresh = fresh_state(Avatar.load(path))
+    tracked, optimizer = fresh.tracked, fresh.optimizer
+    assert load_training(path, fresh) == 7
     assert torch.equal(tracked.rotations, state.tracked.rotations)
     assert torch.equal(tracked.expression, state.tracked.expression)
     moments, expected = (
@@ -93,12 +108,11 @@ def test_an_older_checkpoint_without_a_part_is_named(state, tmp_path):
     path = save_checkpoint(tmp_path, state, record={})
     file = as_before_joints_had_names(path)
     whole = load_file(file)
-    tracked = tracked_frames()
-    optimizer = make_optimizer(state.avatar, tracked)
+    fresh = fresh_state(state.avatar)
     for name in ("tracked.jaw", "adam.pose.3.exp_avg"):
         save_file({key: value for key, value in whole.items() if key != name}, file)
         with pytest.raises(UserError, match=rf"training\.safetensors: .* found '{name}'"):
-            load_training(path, optimizer, tracked, state.density)
+            load_training(path, fresh)
 
 
 def test_the_rotations_of_all_joints_are_one_group(state):

@@ -3,6 +3,7 @@
 1   does not say whether the learned light is one map or two: it always is two
 2   keeps the poses of FLAME's five joints in rotation, neck, jaw and eyes
 3   keeps the poses of any joints in rotations
+4   says whether the head blocks the light: before, it never did
 """
 
 from __future__ import annotations
@@ -12,10 +13,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
-FORMAT = 3
+FORMAT = 4
 """The version that is written."""
 
-READABLE = (1, 2, 3)
+READABLE = (1, 2, 3, 4)
 """The versions that are read, oldest first."""
 
 POSE_PARTS = ("rotation", "neck", "jaw", "eyes")
@@ -24,7 +25,9 @@ POSE_PARTS = ("rotation", "neck", "jaw", "eyes")
 
 def settings_of_version(settings: dict[str, Any], version: int) -> dict[str, Any]:
     """An avatar's settings of some version as today's."""
-    return {**settings, "tied_light": False} if version == 1 else settings
+    before = {"tied_light": False} if version == 1 else {}
+    before |= {"visibility": False} if version <= 3 else {}
+    return {**settings, **before}
 
 
 def frames_of_version(tensors: dict[str, Tensor], version: int) -> dict[str, Tensor]:

@@ -9,9 +9,29 @@ from torch import Tensor
 from samira_warp.geometry.camera import Camera
 from samira_warp.kernels.raster.blending import blend_unchecked
 from samira_warp.kernels.raster.projection import project_unchecked
-from samira_warp.kernels.raster.tiles import bin_tiles_unchecked
+from samira_warp.kernels.raster.tiles import TileBins, bin_tiles_unchecked
 from samira_warp.support.image_size import check_size
 from samira_warp.support.validation import check_tensors
+
+
+class ScreenSplats(NamedTuple):
+    """Gaussians as they cover an image: constants, to blend other features with.
+
+    Attributes:
+        means2d: (N, 2) float32, pixels.
+        conics: (N, 3) float32, pixels^-2.
+        opacities: (N,) float32 in 0..1.
+        bins: The tiles that they touch.
+        width: W, pixels.
+        height: H, pixels.
+    """
+
+    means2d: Tensor
+    conics: Tensor
+    opacities: Tensor
+    bins: TileBins
+    width: int
+    height: int
 
 
 class Rasterized(NamedTuple):
@@ -23,12 +43,14 @@ class Rasterized(NamedTuple):
         means2d: (N, 2) float32, pixels; part of the graph, so that ``retain_grad`` gives density control its
             screen-space gradients.
         visible: (N,) bool, whether the Gaussian touches the image.
+        splats: What `blend_again` takes.
     """
 
     features: Tensor
     alpha: Tensor
     means2d: Tensor
     visible: Tensor
+    splats: ScreenSplats
 
 
 def rasterize(
@@ -66,4 +88,28 @@ def rasterize(
     image = blend_unchecked(
         projection.means2d, projection.conics, opacities, features, bins, width=width, height=height
     )
-    return Rasterized(image.features, 1.0 - image.transmittance, projection.means2d, projection.visible)
+    splats = ScreenSplats(
+        projection.means2d.detach(), projection.conics.detach(), opacities.detach(), bins, width, height
+    )
+    return Rasterized(
+        image.features, 1.0 - image.transmittance, projection.means2d, projection.visible, splats
+    )
+
+
+def blend_again(splats: ScreenSplats, features: Tensor) -> Tensor:
+    """Blend further features of Gaussians that were rasterised; differentiable in the features alone.
+
+    Args:
+        splats: From `rasterize`.
+        features: (N, C) float32, finite, on the same device.
+
+    Returns:
+        (H, W, C) float32 blended sums, as `Rasterized.features`.
+
+    Raises:
+        UserError: The features have another shape, dtype or device.
+    """
+    check_tensors(("features", features, (len(splats.means2d), "C")), device=splats.means2d.device)
+    means2d, conics, opacities, bins, width, height = splats
+    image = blend_unchecked(means2d, conics, opacities, features, bins, width=width, height=height)
+    return image.features

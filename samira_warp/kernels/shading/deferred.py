@@ -55,9 +55,8 @@ class Shaded(NamedTuple):
     Attributes:
         color: (M, 3) C_fg of Eq. pbr_color, linear radiance; 0 where nothing covers the point.
         image: (M, 3) I of Eq. alpha_compose, display values, not clipped.
-        irradiance: (M, 3) L_d = tau_d E_d(n), linear; 0 where nothing covers the point.
-        specular_light: (M, 3) L_s = tau_s E_s(n, v, rho), linear, before the BRDF; 0 where nothing covers the
-            point.
+        irradiance: (M, 3) L_d, linear; 0 where nothing covers the point.
+        specular_light: (M, 3) L_s, linear, before the BRDF; 0 where nothing covers the point.
     """
 
     color: Tensor
@@ -79,12 +78,13 @@ def shade_gbuffer(
 ) -> Shaded:
     """Shade M points and compose them with what is behind.
 
-    L_d = tau_d E_d(n), L_s = tau_s E_s(reflect(v, n), rho), C_fg = a (1 - f) L_d + L_s (f B_x + B_y), and
-    I = alpha encode(C_fg) + (1 - alpha) background.
+    L_d = tau_d v_d E_d(n) / (1 - a (1 - o)), L_s = tau_s v_s E_s(reflect(v, n), rho), C_fg = a (1 - f) L_d +
+    L_s (f B_x + B_y), and I = alpha encode(C_fg) + (1 - alpha) background; v_d, v_s and o say what of the
+    light arrives and are 1 in the open.
 
     Args:
         surface: Channels (M, width) float32, as is all else. A point with a zero normal sees no light and
-            gets no gradient; roughness is clamped to 0 to 1.
+            gets no gradient; roughness is clamped to 0 to 1. a (1 - o) is below 1.
         view: (M, 3) unit vectors to the camera.
         alpha: (M, 1) coverage. Below 1/255 there is no surface: C_fg, L_d and L_s are 0, and only alpha
             itself gets a gradient.
@@ -246,6 +246,17 @@ def is_lit(alpha: wp.float32, normal: wp.vec3) -> wp.bool:
     return alpha >= _COVERED and wp.length_sq(normal) > 0.0
 
 
+@wp.func
+def bounces(albedo: wp.vec3, openness: wp.float32) -> wp.vec3:
+    """1 / (1 - a (1 - o)): the light that bounces between a surface and what blocks its view of the sky."""
+    blocked = 1.0 - openness
+    return wp.vec3(
+        1.0 / (1.0 - albedo[0] * blocked),
+        1.0 / (1.0 - albedo[1] * blocked),
+        1.0 / (1.0 - albedo[2] * blocked),
+    )
+
+
 @wp.kernel(enable_backward=False)
 def _shade(
     first: wp.int32,
@@ -255,6 +266,9 @@ def _shade(
     specular: wp.array[wp.float32],
     response_diffuse: wp.array[wp.float32],
     response_specular: wp.array[wp.float32],
+    visibility: wp.array[wp.vec3],
+    visibility_specular: wp.array[wp.float32],
+    ambient_occlusion: wp.array[wp.float32],
     view: wp.array[wp.vec3],
     alpha: wp.array[wp.float32],
     irradiance_map: wp.array[wp.vec3],
@@ -282,14 +296,16 @@ def _shade(
         specular_light[m] = wp.vec3()
         return
 
-    # L_d = tau_d E_d(n)
+    # L_d = tau_d v_d E_d(n) / (1 - a (1 - o))
     cell = footprint(find_face(n), size)
-    diffuse = response_diffuse[m] * blend_cell(cell, read_cell(irradiance_map, 0, cell, size))
+    arriving = wp.cw_mul(visibility[m], blend_cell(cell, read_cell(irradiance_map, 0, cell, size)))
+    diffuse = response_diffuse[m] * wp.cw_mul(bounces(albedo[m], ambient_occlusion[m]), arriving)
 
-    # L_s = tau_s E_s(r, rho), r the view mirrored at the normal
+    # L_s = tau_s v_s E_s(r, rho), r the view mirrored at the normal
     cosine = wp.dot(n, view[m])
     level = roughness[m] * wp.float32(table.shape[0] - 1)
-    light = response_specular[m] * look_up(mips, table, find_face(2.0 * cosine * n - view[m]), level)
+    seen = look_up(mips, table, find_face(2.0 * cosine * n - view[m]), level)
+    light = response_specular[m] * visibility_specular[m] * seen
 
     # C_fg = a (1 - f) L_d + L_s (f B_x + B_y), and its display values on the background
     b = read_brdf(brdf, find_brdf(roughness[m], cosine, brdf.shape[0]))
@@ -333,6 +349,8 @@ def _diffuse_adjoint(
     normal: wp.array[wp.vec3],
     specular: wp.array[wp.float32],
     response_diffuse: wp.array[wp.float32],
+    visibility: wp.array[wp.vec3],
+    ambient_occlusion: wp.array[wp.float32],
     alpha: wp.array[wp.float32],
     irradiance_map: wp.array[wp.vec3],
     size: wp.int32,
@@ -342,11 +360,13 @@ def _diffuse_adjoint(
     grad_normal: wp.array[wp.vec3],
     grad_specular: wp.array[wp.float32],
     grad_response_diffuse: wp.array[wp.float32],
+    grad_visibility: wp.array[wp.vec3],
+    grad_ambient_occlusion: wp.array[wp.float32],
     grad_lookup: wp.array[wp.vec3],
     cells: wp.array2d[wp.int32],
     places: wp.array2d[wp.vec3],
 ) -> None:
-    """Adjoint of C_fg = a (1 - f) L_d + ..., L_d = tau_d E_d(n).
+    """Adjoint of C_fg = a (1 - f) L_d + ..., L_d = tau_d v_d E_d(n) / (1 - a (1 - o)).
 
     ``grad_irradiance`` is what came to L_d itself. Every gradient is written, as 0 where a point has no
     light; the light's own is left as lookups.
@@ -358,6 +378,8 @@ def _diffuse_adjoint(
         grad_normal[m] = wp.vec3()
         grad_specular[m] = 0.0
         grad_response_diffuse[m] = 0.0
+        grad_visibility[m] = wp.vec3()
+        grad_ambient_occlusion[m] = 0.0
         cells[m, 0] = cell_count(size)
         return
 
@@ -367,16 +389,24 @@ def _diffuse_adjoint(
     cell = footprint(point, size)
     texels = read_cell(irradiance_map, 0, cell, size)
     irradiance = blend_cell(cell, texels)
+    bounced = bounces(albedo[m], ambient_occlusion[m])
+    arriving = wp.cw_mul(visibility[m], irradiance)
+    l_d = tau * wp.cw_mul(bounced, arriving)
 
-    # adjoint: from C_fg and L_d to E_d
+    # adjoint: from C_fg and L_d to what arrives, and to E_d
     grad_l_d = grad_irradiance[m] + (1.0 - specular[m]) * wp.cw_mul(albedo[m], grad_radiance[m])
-    grad_e_d = tau * grad_l_d
+    grad_arriving = tau * wp.cw_mul(bounced, grad_l_d)
+    grad_e_d = wp.cw_mul(visibility[m], grad_arriving)
 
-    # to the channels
-    grad_product = tau * wp.cw_mul(irradiance, grad_radiance[m])
-    grad_albedo[m] = (1.0 - specular[m]) * grad_product
-    grad_specular[m] = -wp.dot(albedo[m], grad_product)
-    grad_response_diffuse[m] = wp.dot(irradiance, grad_l_d)
+    # to the channels; with b = 1 / (1 - a (1 - o)), db/da = b^2 (1 - o) and db/do = -b^2 a
+    grad_share = wp.cw_mul(wp.cw_mul(bounced, l_d), grad_l_d)
+    grad_albedo[m] = (1.0 - specular[m]) * wp.cw_mul(l_d, grad_radiance[m]) + (
+        1.0 - ambient_occlusion[m]
+    ) * grad_share
+    grad_specular[m] = -wp.dot(albedo[m], wp.cw_mul(l_d, grad_radiance[m]))
+    grad_response_diffuse[m] = wp.dot(wp.cw_mul(bounced, arriving), grad_l_d)
+    grad_visibility[m] = wp.cw_mul(irradiance, grad_arriving)
+    grad_ambient_occlusion[m] = -wp.dot(albedo[m], grad_share)
     slope = 0.5 * wp.float32(size) * cell_slope(cell, texels, grad_e_d)
     grad_normal[m] = find_face_adjoint(n, point, slope[0], slope[1])
 
@@ -430,6 +460,7 @@ def _specular_adjoint(
     roughness: wp.array[wp.float32],
     specular: wp.array[wp.float32],
     response_specular: wp.array[wp.float32],
+    visibility_specular: wp.array[wp.float32],
     view: wp.array[wp.vec3],
     alpha: wp.array[wp.float32],
     mips: wp.array[wp.vec3],
@@ -441,12 +472,13 @@ def _specular_adjoint(
     grad_roughness: wp.array[wp.float32],
     grad_specular: wp.array[wp.float32],
     grad_response_specular: wp.array[wp.float32],
+    grad_visibility_specular: wp.array[wp.float32],
     grad_view: wp.array[wp.vec3],
     grad_lookup: wp.array[wp.vec3],
     cells: wp.array2d[wp.int32],
     places: wp.array2d[wp.vec3],
 ) -> None:
-    """Adjoint of C_fg = ... + L_s (f B_x + B_y), L_s = tau_s E_s(r, rho).
+    """Adjoint of C_fg = ... + L_s (f B_x + B_y), L_s = tau_s v_s E_s(r, rho).
 
     ``grad_specular_light`` is what came to L_s itself. The gradients of normal and f are added to what
     `_diffuse_adjoint` left there; the others are written.
@@ -459,13 +491,14 @@ def _specular_adjoint(
     if not is_lit(alpha[m], n):
         grad_roughness[m] = 0.0
         grad_response_specular[m] = 0.0
+        grad_visibility_specular[m] = 0.0
         grad_view[m] = wp.vec3()
         for slot in range(cells.shape[1]):
             cells[m, slot] = table[levels - 1, 2] + cell_count(table[levels - 1, 0])
         return
 
     # forward again: B_x and B_y, which weigh the gradient that the light gets
-    tau = response_specular[m]
+    tau = response_specular[m] * visibility_specular[m]
     cosine = wp.dot(n, v)
     place = find_brdf(roughness[m], cosine, brdf.shape[0])
     b = read_brdf(brdf, place)
@@ -493,6 +526,7 @@ def _specular_adjoint(
     if level_moves(level, levels):
         grad_roughness[m] += wp.float32(levels - 1) * seen.grad_level
     grad_specular[m] += b[0] * grad_factor
-    grad_response_specular[m] = wp.dot(light, grad_l_s)
+    grad_response_specular[m] = visibility_specular[m] * wp.dot(light, grad_l_s)
+    grad_visibility_specular[m] = response_specular[m] * wp.dot(light, grad_l_s)
     grad_normal[m] += 2.0 * cosine * grad_r + grad_cosine * v
     grad_view[m] = grad_cosine * n - grad_r

@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
 
 from samira_warp.geometry.camera import Camera
-from samira_warp.kernels.raster.rasterizer import Rasterized
 from samira_warp.reference.raster.blending import blend
 from samira_warp.reference.raster.projection import project
+
+
+class Rasterized(NamedTuple):
+    """An image as the kernels' own, without what they keep to blend again."""
+
+    features: Tensor
+    alpha: Tensor
+    means2d: Tensor
+    visible: Tensor
 
 
 def rasterize(

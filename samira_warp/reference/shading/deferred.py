@@ -30,8 +30,11 @@ def shade_gbuffer(
     reflected = 2 * cosine * normal - view
     covered = alpha >= COVERED_ALPHA
     level = surface.roughness[:, 0] * (len(mips) - 1)
-    diffuse = covered * surface.response_diffuse * sample_cubemap(irradiance, normal)
-    light = covered * surface.response_specular * sample_mips(mips, reflected, level)
+    bounces = 1 / (1 - surface.albedo * (1 - surface.ambient_occlusion))
+    arriving = surface.visibility * sample_cubemap(irradiance, normal)
+    diffuse = covered * surface.response_diffuse * bounces * arriving
+    visible = surface.response_specular * surface.visibility_specular
+    light = covered * visible * sample_mips(mips, reflected, level)
     scale, bias = lookup_brdf(brdf, surface.roughness, cosine)
     color = surface.albedo * (1 - f) * diffuse + light * (f * scale + bias)
     image = compose(color, alpha, background, color_space="srgb" if encoded else "raw")
