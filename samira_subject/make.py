@@ -16,13 +16,12 @@ import torch
 from scipy.ndimage import gaussian_filter
 from tqdm import tqdm
 
+from samira_subject.lights import DatasetLight
 from samira_subject.performance import FRAMES_PER_SECOND, Performance, perform
-from samira_subject.plan import LIGHTS, VERSION, SubjectPlan, Take
+from samira_subject.plan import VERSION, SubjectPlan, Take
 from samira_subject.raycaster import Picture, PosedSkin
-from samira_subject.raycaster_sampling import SkyTables
-from samira_subject.sky import CAPTURE, SKIES, exposure_of, paint_sky
 from samira_subject.streams import Purpose, generator_of, number_of
-from samira_subject.studio import Cast, Studio, developed, on_white, threads
+from samira_subject.studio import Cast, Studio, developed, on_white
 from samira_warp.data.vhap import CANONICAL_FILE
 from samira_warp.geometry.camera import Camera
 from samira_warp.head import FrameParameters, Rig
@@ -37,34 +36,9 @@ ALBEDO_GAIN = 0.05
 """Standard deviation of the factor that stands for how far such estimates stray from frame to frame."""
 
 
-class DatasetLight:
-    """A light of the dataset.
-
-    Attributes:
-        name: One of SKIES.
-        radiance: (H, W, 3) float32 panorama, as its file has it.
-        exposure: Factor on it.
-        tables: The light as the rays find it, exposed.
-    """
-
-    def __init__(self, name: str) -> None:
-        self.name = name
-        with threads(1):
-            self.radiance = paint_sky(SKIES[name])
-            self.exposure = exposure_of(self.radiance)
-            self.tables = SkyTables.build(self.radiance * self.exposure)
-
-    @property
-    def file(self) -> str:
-        """Where the panorama lies within the dataset."""
-        return f"lights/{self.name}.exr"
-
-    def description(self) -> str:
-        """What says how pictures under it are lit."""
-        return _json({"file": self.file, "azimuth_degrees": 0.0, "exposure": self.exposure})
-
-
-def make_subject(folder: Path, plan: SubjectPlan, cast: Callable[[], Cast]) -> None:
+def make_subject(
+    folder: Path, plan: SubjectPlan, cast: Callable[[], Cast], lights: Sequence[DatasetLight] | None = None
+) -> None:
     """Make a dataset, whole or not at all; a folder of that name is replaced.
 
     Ctrl-C, a full disk or a killed process leave the pictures that were taken beside it, and the next call
@@ -74,14 +48,20 @@ def make_subject(folder: Path, plan: SubjectPlan, cast: Callable[[], Cast]) -> N
         folder: Where to.
         plan: What to make.
         cast: Makes the head and its surface, which must be the plan's seed's.
+        lights: The plan's lights in its order; None are the skies of those names.
 
     Raises:
         OSError: It cannot be written.
     """
-    resume_folder(folder, lambda half: _make(half, plan, cast), recipe=plan.recipe)
+    digests = [] if lights is None else [light.digest for light in lights]
+
+    def fill(half: Path) -> None:
+        _make(half, plan, cast, [DatasetLight(name) for name in plan.lights] if lights is None else lights)
+
+    resume_folder(folder, fill, recipe=plan.recipe(digests))
 
 
-def _make(folder: Path, plan: SubjectPlan, cast: Callable[[], Cast]) -> None:
+def _make(folder: Path, plan: SubjectPlan, cast: Callable[[], Cast], lights: Sequence[DatasetLight]) -> None:
     """Write what is not there yet; say from where it goes on, and what is kept if it ends early."""
     takes = plan.takes()
 
@@ -91,7 +71,7 @@ def _make(folder: Path, plan: SubjectPlan, cast: Callable[[], Cast]) -> None:
     if any(take.is_in(folder) for take in takes):
         print(f"going on where it stopped: {kept()}", file=sys.stderr)
     try:
-        _Maker(folder, plan, cast()).make([take for take in takes if not take.is_in(folder)])
+        _Maker(folder, plan, cast(), lights).make([take for take in takes if not take.is_in(folder)])
     except (KeyboardInterrupt, OSError):
         print(f"stopped: {kept()}; the same command goes on with the others", file=sys.stderr)
         raise
@@ -100,12 +80,12 @@ def _make(folder: Path, plan: SubjectPlan, cast: Callable[[], Cast]) -> None:
 class _Maker:
     """One dataset on its way into its folder."""
 
-    def __init__(self, folder: Path, plan: SubjectPlan, cast: Cast) -> None:
+    def __init__(self, folder: Path, plan: SubjectPlan, cast: Cast, lights: Sequence[DatasetLight]) -> None:
         self._folder = folder
         self._plan = plan
         self._cast = cast
         self._studio = Studio(cast, size=plan.size, effort=plan.effort)
-        self._lights = {name: DatasetLight(name) for name in LIGHTS}
+        self._lights = dict(zip(plan.lights, lights, strict=True))
         self._performance = perform(
             cast.template.expression_names, train=plan.train, test=plan.test, seed=plan.seed
         )
@@ -128,7 +108,7 @@ class _Maker:
 
     def _take(self, take: Take, posed: PosedSkin) -> None:
         """Take one picture and write its files, each whole."""
-        seed = number_of(self._plan.seed, Purpose.RAYS, take.frame, LIGHTS.index(take.light))
+        seed = number_of(self._plan.seed, Purpose.RAYS, take.frame, self._plan.lights.index(take.light))
         picture = self._studio.take(posed, self._lights[take.light].tables, seed=seed)
         for layer in take.layers:
             with whole_file(self._folder / layer / take.file) as path:
@@ -177,7 +157,7 @@ class _Maker:
     def _write_lights(self) -> None:
         for light in self._lights.values():
             write_exr(self._folder / light.file, light.radiance.numpy())
-            if light.name == CAPTURE:
+            if light.name == self._plan.capture:
                 (self._folder / "gt" / "capture_light.json").write_text(light.description(), encoding="utf-8")
             else:
                 (self._folder / "gt" / "relight" / light.name).mkdir(parents=True, exist_ok=True)

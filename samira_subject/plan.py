@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import NamedTuple
@@ -37,9 +38,10 @@ class SubjectPlan:
         size: Width and height of the pictures, pixels.
         texels: Width and height of the painted maps.
         effort: How many rays.
+        lights: Names of the light of most pictures, and of the others.
 
     Raises:
-        UserError: A number is too small.
+        UserError: A number is too small, or two lights have one name.
     """
 
     seed: int = 0
@@ -49,16 +51,23 @@ class SubjectPlan:
     size: int = SIZE
     texels: int = TEXELS
     effort: Effort = field(default_factory=Effort)
+    lights: tuple[str, ...] = LIGHTS
 
     def __post_init__(self) -> None:
         for name, least in (("seed", 0), ("train", 1), ("test", 1), ("relit", 0), ("size", 1), ("texels", 1)):
             if getattr(self, name) < least:
                 raise UserError(name, expected=f"at least {least}", found=getattr(self, name))
+        if not self.lights or len(set(self.lights)) < len(self.lights):
+            raise UserError("lights", expected="lights of different names", found=", ".join(self.lights))
 
     @property
-    def recipe(self) -> str:
-        """A hash of all that decides the bytes of the dataset."""
-        return hashlib.sha256(json.dumps([VERSION, asdict(self)]).encode()).hexdigest()[:12]
+    def capture(self) -> str:
+        """The light of most pictures."""
+        return self.lights[0]
+
+    def recipe(self, digests: Sequence[str] = ()) -> str:
+        """A hash of all that decides the bytes of the dataset; ``digests`` are those of a user's lights."""
+        return hashlib.sha256(json.dumps([VERSION, asdict(self), *digests]).encode()).hexdigest()[:12]
 
     def takes(self) -> list[Take]:
         """Every picture to take, those of a frame after one another."""
@@ -67,8 +76,9 @@ class SubjectPlan:
         taken = []
         for frame in range(self.train + self.test):
             truth = ("albedo",) if frame < self.train else ("gt/albedo", "gt/normal")
-            taken.append(Take(frame, CAPTURE, ("images", "fg_masks", *truth)))
-            taken += [Take(frame, light, (f"gt/relight/{light}",)) for light in LIGHTS[1:] if frame in relit]
+            taken.append(Take(frame, self.capture, ("images", "fg_masks", *truth)))
+            others = self.lights[1:] if frame in relit else ()
+            taken += [Take(frame, light, (f"gt/relight/{light}",)) for light in others]
         return taken
 
 
@@ -77,7 +87,7 @@ class Take(NamedTuple):
 
     Attributes:
         frame: Which frame it shows.
-        light: One of LIGHTS.
+        light: One of the plan's lights.
         layers: Folders within the dataset into each of which a file of it goes.
     """
 

@@ -1,11 +1,15 @@
-"""Make a subject like the built-in one: another head, another performance, or larger pictures.
+"""Make a subject like the built-in one: another head, another performance, another light, or larger pictures.
 
-usage: python tools/make_subject.py --seed N --out DIR [--resolution N]
-       python tools/make_subject.py --seed N --preview FILE.png [--frame N] [--light NAME]
+usage: python tools/make_subject.py --seed N --out DIR [--resolution N] [LIGHT] [--relight NAME|FILE ...]
+       python tools/make_subject.py --seed N --preview FILE.png [--frame N] [LIGHT]
+LIGHT: [--light NAME|MAP] [--lights RIG.json] [--rotate DEGREES] [--exposure FACTOR]
+
+Every light is distant, lamps too: they are seen from the head's centre. Rays find shadows against the head.
 """
 
 from __future__ import annotations
 
+import math
 import os
 import sys
 from dataclasses import dataclass
@@ -13,7 +17,8 @@ from functools import partial
 from pathlib import Path
 
 from samira_subject.cast import build_cast
-from samira_subject.make import DatasetLight, make_subject
+from samira_subject.lights import DatasetLight, panorama_of
+from samira_subject.make import make_subject
 from samira_subject.performance import perform
 from samira_subject.plan import SIZE, TEXELS, SubjectPlan
 from samira_subject.raycaster import Effort
@@ -21,12 +26,16 @@ from samira_subject.sky import CAPTURE, SKIES
 from samira_subject.studio import Studio, developed
 from samira_warp.io.alone import alone
 from samira_warp.io.images import write_png
+from samira_warp.light import LightRig
 from samira_warp.support.cli import run
 from samira_warp.support.errors import UserError
 
 PREVIEW_EFFORT = Effort(samples=16, more=16, tolerance=0.02)
 """Rays of a picture that is looked at: an error of 2 % of the radiance is about one of 256 levels in skin's
 display values."""
+
+CAPTURE_NAME = "capture"
+"""What a user's light is called in the dataset, and no other light of it."""
 
 LARGEST_SEED = 2**31 - 1
 """What the ray caster's kernels take: an int32."""
@@ -54,18 +63,29 @@ class SubjectConfig:
     """Width and height of that picture, pixels."""
     frame: int = 0
     """Which frame it shows; the first one is at rest."""
-    light: str = CAPTURE
-    """Which light it is taken under."""
+    light: str | None = None
+    """The light of the pictures: a built-in one (studio, window, dusk, stage) or a map (.hdr, .exr); default
+    studio, or none beside --lights."""
+    lights: Path | None = None
+    """Lamps, a .json file (docs/relighting.md): added to --light, or the only light."""
+    rotate: float = 0.0
+    """Degrees by which this light is turned about the vertical."""
+    exposure: float | None = None
+    """Factor on it; default brings it to the brightness of the others."""
+    relight: tuple[str, ...] = ()
+    """Lights of the relit test frames: built-in ones, maps, or .json files of lamps; default the other
+    built-in ones."""
 
 
 def main(config: SubjectConfig) -> None:
     """Make what was asked for, once all of it is known to be possible."""
     _check_numbers(config)
     _check_targets(config)
+    lights = _read_lights(config)
     if config.preview is not None:
-        _write_preview(config, config.preview)
+        _write_preview(config, config.preview, lights[0])
     if config.out is not None:
-        _make_dataset(config, config.out)
+        _make_dataset(config, config.out, lights)
 
 
 def _check_numbers(config: SubjectConfig) -> None:
@@ -83,8 +103,10 @@ def _check_numbers(config: SubjectConfig) -> None:
             )
     if config.seed > LARGEST_SEED:
         raise UserError("--seed", expected=f"at most {LARGEST_SEED}", found=config.seed)
-    if config.light not in SKIES:
-        raise UserError("--light", expected=f"one of {', '.join(SKIES)}", found=config.light)
+    if not math.isfinite(config.rotate):
+        raise UserError("--rotate", expected="degrees", found=config.rotate)
+    if config.exposure is not None and not 0.0 < config.exposure < math.inf:
+        raise UserError("--exposure", expected="a factor above 0", found=config.exposure)
     if not 0 <= config.frame < config.train + config.test:
         raise UserError("--frame", expected=f"0 to {config.train + config.test - 1}", found=config.frame)
 
@@ -104,26 +126,80 @@ def _check_targets(config: SubjectConfig) -> None:
             raise UserError(config.preview.parent, expected="a folder for the picture", found="none")
 
 
-def _make_dataset(config: SubjectConfig, out: Path) -> None:
+def _read_lights(config: SubjectConfig) -> list[DatasetLight]:
+    """The light of the pictures, and, of a dataset, those of relit frames.
+
+    Raises:
+        UserError: One cannot be read or is black, or two would be called the same.
+    """
+    rig = None if config.lights is None else LightRig.load(config.lights)
+    own = CAPTURE if config.light is None and rig is None else config.light
+    is_built_in = own in SKIES and rig is None and config.rotate == 0.0
+    name = str(own) if is_built_in else CAPTURE_NAME
+    others = config.relight or tuple(sky for sky in SKIES if sky != name)
+    names = [name, *(what if what in SKIES else Path(what).stem for what in others)]
+    for other in names[1:]:
+        if names.count(other) > 1 or other == CAPTURE_NAME:
+            found = f"{other!r}, which the light of the pictures or another one is called"
+            raise UserError("--relight", expected="lights whose names differ", found=found)
+    lights = [_light(own, rig, name, rotate=config.rotate, exposure=config.exposure)]
+    if config.out is not None:
+        lights += [_other_light(what, other) for what, other in zip(others, names[1:], strict=True)]
+    return lights
+
+
+def _other_light(what: str, name: str) -> DatasetLight:
+    """A light of relit frames."""
+    is_rig = Path(what).suffix.lower() == ".json"
+    return _light(None if is_rig else what, LightRig.load(what) if is_rig else None, name)
+
+
+def _light(
+    what: str | None,
+    rig: LightRig | None,
+    name: str,
+    *,
+    rotate: float = 0.0,
+    exposure: float | None = None,
+) -> DatasetLight:
+    """A built-in sky or a map, with lamps or without; None is lamps alone.
+
+    Raises:
+        UserError: It cannot be read, or is black.
+    """
+    radiance = panorama_of(what, rig, rotate=rotate)
+    if not bool(radiance.any()):
+        raise UserError(what or "the lamps", expected="some light", found="none")
+    return DatasetLight(name, radiance, exposure)
+
+
+def _make_dataset(config: SubjectConfig, out: Path, lights: list[DatasetLight]) -> None:
     """The dataset, by this process alone."""
     texels = _texels(config.resolution)
-    plan = SubjectPlan(config.seed, config.train, config.test, config.relit, config.resolution, texels)
+    plan = SubjectPlan(
+        config.seed,
+        config.train,
+        config.test,
+        config.relit,
+        config.resolution,
+        texels,
+        lights=tuple(light.name for light in lights),
+    )
     out.parent.mkdir(parents=True, exist_ok=True)
     with alone(out, what="a subject"):
         _check_targets(config)  # another process may have made it
-        make_subject(out, plan, partial(build_cast, config.seed, texels=texels))
+        make_subject(out, plan, partial(build_cast, config.seed, texels=texels), lights)
 
 
-def _write_preview(config: SubjectConfig, path: Path) -> None:
+def _write_preview(config: SubjectConfig, path: Path, light: DatasetLight) -> None:
     """One picture of one frame under one light."""
     cast = build_cast(config.seed, texels=_texels(config.preview_size))
     performance = perform(
         cast.template.expression_names, train=config.train, test=config.test, seed=config.seed
     )
     studio = Studio(cast, size=config.preview_size, effort=PREVIEW_EFFORT)
-    picture = studio.take(
-        studio.pose(performance.frame(config.frame)), DatasetLight(config.light).tables, seed=config.seed
-    )
+    posed = studio.pose(performance.frame(config.frame))
+    picture = studio.take(posed, light.tables, seed=config.seed)
     write_png(path, developed(picture))
 
 

@@ -18,8 +18,8 @@ Format = Literal["ply"]
 class ExportConfig:
     """Write one frame of an avatar as a file that splat viewers open.
 
-    Gaussians are in world space, after binding and residual. Without --env their colour is their albedo; with
-    it, what the frame's camera sees of each under that light, highlights and all.
+    Gaussians are in world space, after binding and residual. Without --env and --lights their colour is
+    their albedo; with them, what the frame's camera sees of each under that light, highlights and all.
     """
 
     avatar: Path
@@ -33,6 +33,8 @@ class ExportConfig:
     env: tuple[Path, ...] = ()
     """Light: a map (.hdr, .exr; panorama or cube cross), a diffuse and a specular map, or an avatar's folder,
     for the light that was learned with it."""
+    lights: Path | None = None
+    """Lamps, a .json file (docs/relighting.md): added to --env, or the only light."""
     ldr: bool = False
     """Take 8-bit pictures as environment maps, too."""
     rotate: float = 0.0
@@ -46,8 +48,8 @@ class ExportConfig:
         if not math.isfinite(self.rotate):
             raise UserError("--rotate", expected="degrees", found=self.rotate)
         for name, given in (("rotate", self.rotate != 0.0), ("exposure", self.exposure != 1.0)):
-            if given and not self.env:
-                raise UserError(f"--{name}", expected="--env with it, a light", found="none")
+            if given and not (self.env or self.lights):
+                raise UserError(f"--{name}", expected="--env or --lights with it, a light", found="none")
         suffix = f".{self.format}"
         if self.out.suffix != suffix:
             found = self.out.suffix or "no suffix"

@@ -12,6 +12,7 @@ from samira_warp.export.config import ExportConfig
 from samira_warp.export.formats import FORMATS
 from samira_warp.export.splats import frame_splats
 from samira_warp.io.files import check_writable
+from samira_warp.light import LightRig
 from samira_warp.stage.frames import frame_at
 from samira_warp.stage.lights import read_light
 
@@ -36,13 +37,16 @@ def export(config: ExportConfig) -> Exported:
         UserError: The avatar, the frame, the light or an option cannot be used.
     """
     config.check()
+    rig = None if config.lights is None else LightRig.load(config.lights)
     check_writable(config.out.parent)
     folder = find_avatar(config.avatar)
     avatar = Avatar.load(folder)
     frame = frame_at(read_frames(folder), config.frame)
     light = None
-    if config.env:
-        environment = read_light(config.env, rotate=config.rotate, exposure=config.exposure, ldr=config.ldr)
+    if config.env or rig is not None:
+        environment = read_light(
+            config.env, rig=rig, rotate=config.rotate, exposure=config.exposure, ldr=config.ldr
+        )
         light = environment.filtered()
     splats = frame_splats(avatar, frame, light)
     FORMATS[config.format](splats, config.out)

@@ -17,6 +17,7 @@ from samira_warp.light.cross import cube_to_cross, resample_cube
 from samira_warp.light.equirect import VALUES_AT_ONCE, check_degrees
 from samira_warp.light.filtered import FilteredLight
 from samira_warp.light.radiance_map import RadianceMap
+from samira_warp.light.rig import LightRig
 from samira_warp.support.errors import UserError
 from samira_warp.support.exposure import Exposure, check_exposure
 from samira_warp.support.validation import check_tensor
@@ -140,6 +141,32 @@ class Environment:
                     name, expected=f"faces whose size is a multiple of {multiple}", found=cubemap.shape[1]
                 )
         return cls(diffuse, specular)
+
+    @classmethod
+    def from_rig(cls, rig: LightRig, *, size: int = 256) -> Environment:
+        """A light that is lamps alone, as far from all of them as the head's centre is.
+
+        Args:
+            rig: The lamps.
+            size: Texels along a face of the map, divisible by 16.
+
+        Raises:
+            UserError: The size is none.
+        """
+        _check_size(size)
+        cubemap = rig.to_cube(size)
+        return cls(cubemap, cubemap)
+
+    def with_rig(self, rig: LightRig) -> Environment:
+        """The light with lamps added to it, which are turned and exposed as it is.
+
+        The lamps stand where the rig says before the turn: `rotate` turns the whole light.
+        """
+        one_for_both = self.diffuse is self.specular
+        specular = self.specular + rig.like(self.specular)
+        diffuse = specular if one_for_both else self.diffuse + rig.like(self.diffuse)
+        behind = self.backdrop and RadianceMap(self.backdrop.texels + rig.like(self.backdrop.texels))
+        return replace(self, diffuse=diffuse, specular=specular, backdrop=behind)
 
     def save(self, folder: Path) -> None:
         """Write the two cubemaps as crosses of 32-bit floats, which `load` gives back bit by bit.

@@ -18,10 +18,10 @@ from samira_warp.support.image_size import check_side
 
 @dataclass(frozen=True)
 class RenderConfig:
-    """Render an avatar: re-animated by a sequence, relit by an environment map, its materials changed.
+    """Render an avatar: re-animated by a sequence, relit by a map or by lamps, its materials changed.
 
-    Without --env the light is the one that was learned with the avatar. A folder of maps makes a contact
-    sheet: one frame under every map.
+    Without --env and --lights the light is the one that was learned with the avatar. A folder of maps makes
+    a contact sheet: one frame under every map.
     """
 
     avatar: Path
@@ -46,6 +46,8 @@ class RenderConfig:
     env: tuple[Path, ...] = ()
     """Light: a map (.hdr, .exr; panorama or cube cross), a diffuse and a specular map, an avatar's folder, or
     a folder of maps."""
+    lights: Path | None = None
+    """Lamps, a .json file (docs/relighting.md): added to --env, or the only light."""
     ldr: bool = False
     """Take 8-bit pictures as environment maps, too."""
     rotate: float = 0.0

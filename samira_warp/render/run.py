@@ -17,7 +17,7 @@ from samira_warp.avatar.storage import find_avatar
 from samira_warp.geometry.camera import Camera
 from samira_warp.io.files import check_writable
 from samira_warp.io.images import write_png
-from samira_warp.light import Environment
+from samira_warp.light import Environment, LightRig
 from samira_warp.render.config import RenderConfig
 from samira_warp.render.sources import select_frames
 from samira_warp.render.writing import display_values, left_over, write_layer
@@ -57,6 +57,7 @@ def render(config: RenderConfig) -> int:
             expected="one light",
             found=f"--env {config.env[0]}, a folder of maps, which makes a contact sheet",
         )
+    rig = None if config.lights is None else LightRig.load(config.lights)
     check_writable(config.out)
     device = pick_device(config.device)
     folder = find_avatar(config.avatar)
@@ -65,8 +66,8 @@ def render(config: RenderConfig) -> int:
     background = Background(config.background, color_space=avatar.settings.color_space)
     scene = Scene(avatar, edits, background)
     if maps is not None:
-        return _render_sheet(config, scene, frames[0], maps)
-    return _render_sequence(config, scene, frames)
+        return _render_sheet(config, scene, frames[0], maps, rig)
+    return _render_sequence(config, scene, frames, rig)
 
 
 def material_edits(config: RenderConfig) -> tuple[MaterialEdit, ...]:
@@ -84,8 +85,10 @@ def material_edits(config: RenderConfig) -> tuple[MaterialEdit, ...]:
     return (edit,) if edit.changes() else ()
 
 
-def _render_sequence(config: RenderConfig, scene: Scene, frames: list[DrivingFrame]) -> int:
-    light = scene.light(_light(config, scene.avatar))
+def _render_sequence(
+    config: RenderConfig, scene: Scene, frames: list[DrivingFrame], rig: LightRig | None
+) -> int:
+    light = scene.light(_light(config, scene.avatar, rig))
     shots = plan_shots(frames, turntable=config.turntable, frames_per_second=config.fps)
     names = [name for shot in shots for name, _ in shot.pictures]
     filmed = config.layers if config.video or config.turntable is not None else ()
@@ -111,9 +114,11 @@ def _render_sequence(config: RenderConfig, scene: Scene, frames: list[DrivingFra
     return len(names)
 
 
-def _render_sheet(config: RenderConfig, scene: Scene, frame: DrivingFrame, maps: list[Path]) -> int:
+def _render_sheet(
+    config: RenderConfig, scene: Scene, frame: DrivingFrame, maps: list[Path], rig: LightRig | None
+) -> int:
     view = scene.view(frame)
-    lights = [_sheet_light(config, scene, view, path) for path in maps]
+    lights = [_sheet_light(config, scene, view, path, rig) for path in maps]
     pictures: dict[Layer, list[np.ndarray]] = {layer: [] for layer in config.layers}
     for environment, behind in tqdm(lights, unit="light", dynamic_ncols=True):
         rendering = scene.shade(view, environment.filtered(), behind)
@@ -126,22 +131,24 @@ def _render_sheet(config: RenderConfig, scene: Scene, frame: DrivingFrame, maps:
     return 1
 
 
-def _light(config: RenderConfig, avatar: Avatar) -> Environment:
-    """The light of an image sequence: what --env names, else the learned light."""
-    if config.env:
-        return read_light(config.env, rotate=config.rotate, exposure=config.exposure, ldr=config.ldr)
+def _light(config: RenderConfig, avatar: Avatar, rig: LightRig | None) -> Environment:
+    """The light of an image sequence: what --env and --lights name, else the learned light."""
+    if config.env or rig is not None:
+        return read_light(config.env, rig=rig, rotate=config.rotate, exposure=config.exposure, ldr=config.ldr)
     learned = avatar.light.environment().turned(config.rotate)
     return learned.exposed(config.exposure, name="the learned light")
 
 
 def _sheet_light(
-    config: RenderConfig, scene: Scene, view: PosedView, path: Path
+    config: RenderConfig, scene: Scene, view: PosedView, path: Path, rig: LightRig | None
 ) -> tuple[Environment, Tensor | float]:
     """Read a light of a contact sheet, and what is behind the head of it.
 
     All are read before the work on any begins, and none keeps its map, which may be large.
     """
-    environment = read_sheet_light(path, rotate=config.rotate, exposure=config.exposure, ldr=config.ldr)
+    environment = read_sheet_light(
+        path, rig=rig, rotate=config.rotate, exposure=config.exposure, ldr=config.ldr
+    )
     environment = environment.to(scene.device)
     return replace(environment, backdrop=None), scene.behind(view, environment)
 

@@ -1,11 +1,11 @@
-"""What the light is that paths name: a map, a pair of maps, a learned light, or a folder of maps."""
+"""What the light is that paths name: a map, a pair of maps, a learned light, a folder of maps; and lamps."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
 
-from samira_warp.light import Environment
+from samira_warp.light import Environment, LightRig
 from samira_warp.light.environment import DIFFUSE_FILE, SPECULAR_FILE, learned_pair
 from samira_warp.support.errors import UserError
 from samira_warp.support.exposure import Exposure
@@ -22,24 +22,35 @@ of 256 x 256 pixels differ by 0.02 of 255 levels on average, and by 3 at most.""
 
 
 def read_light(
-    paths: Sequence[Path], *, rotate: float = 0.0, exposure: Exposure = 1.0, ldr: bool = False
+    paths: Sequence[Path],
+    *,
+    rig: LightRig | None = None,
+    rotate: float = 0.0,
+    exposure: Exposure = 1.0,
+    ldr: bool = False,
 ) -> Environment:
-    """One light: a map, a diffuse map and a specular one, or a folder with a learned light.
+    """One light: a map, a diffuse map and a specular one, or a folder with a learned light; lamps; or both.
 
     Args:
-        paths: One path or two.
-        rotate: Degrees by which the light is turned.
-        exposure: Factor on the light, or auto.
+        paths: One path or two; none where there is a rig.
+        rig: Lamps that are added to the map.
+        rotate: Degrees by which the whole light is turned.
+        exposure: Factor on the whole light, or auto.
         ldr: Also take 8-bit pictures.
 
     Raises:
         UserError: There are none or more of them, or they cannot be used.
     """
-    if not 1 <= len(paths) <= 2:
+    if not (1 <= len(paths) <= 2 or (rig is not None and not paths)):
         raise UserError(
             "--env", expected="one map, two (diffuse and specular) or a folder", found=f"{len(paths)} files"
         )
-    return Environment.load(*paths, rotate=rotate, exposure=exposure, ldr=ldr)
+    if rig is None:
+        return Environment.load(*paths, rotate=rotate, exposure=exposure, ldr=ldr)
+    if not paths:
+        return Environment.from_rig(rig).turned(rotate).exposed(exposure, name="the lamps")
+    both = Environment.load(*paths, rotate=rotate, ldr=ldr).with_rig(rig)
+    return both.exposed(exposure, name=paths[0])
 
 
 def sheet_paths(paths: Sequence[Path], *, ldr: bool = False) -> list[Path] | None:
@@ -75,14 +86,20 @@ def sheet_labels(maps: Sequence[Path]) -> list[str]:
 
 
 def read_sheet_light(
-    path: Path, *, rotate: float = 0.0, exposure: Exposure = 1.0, ldr: bool = False
+    path: Path,
+    *,
+    rig: LightRig | None = None,
+    rotate: float = 0.0,
+    exposure: Exposure = 1.0,
+    ldr: bool = False,
 ) -> Environment:
-    """One light of a contact sheet, at its size.
+    """One light of a contact sheet, at its size, with the lamps of a rig.
 
     Raises:
         UserError: The map cannot be used.
     """
-    return Environment.load(path, rotate=rotate, exposure=exposure, ldr=ldr, size=SHEET_SIZE)
+    environment = Environment.load(path, rotate=rotate, ldr=ldr, size=SHEET_SIZE)
+    return (environment if rig is None else environment.with_rig(rig)).exposed(exposure, name=path)
 
 
 def _holds_learned_light(folder: Path) -> bool:

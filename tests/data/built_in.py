@@ -14,7 +14,7 @@ from data.layouts import FLIP, WRITERS, Film, joint_rotations, write_layout
 
 from samira_subject.cast import build_cast
 from samira_subject.head import build_head
-from samira_subject.make import DatasetLight
+from samira_subject.lights import DatasetLight
 from samira_subject.performance import perform
 from samira_subject.raycaster import Effort
 from samira_subject.sky import CAPTURE

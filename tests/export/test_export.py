@@ -123,8 +123,8 @@ def test_every_format_of_the_options_has_a_writer():
 @pytest.mark.parametrize(
     ("options", "named"),
     [
-        (["--rotate", "30"], "--rotate: expected --env with it"),
-        (["--exposure", "2"], "--exposure: expected --env with it"),
+        (["--rotate", "30"], "--rotate: expected --env or --lights with it"),
+        (["--exposure", "2"], "--exposure: expected --env or --lights with it"),
         (["--env", "white.exr", "--rotate", "nan"], "--rotate: expected degrees"),
         (["--env", "white.exr", "--exposure", "-1"], "--exposure"),
         (["--env", "missing.exr"], "missing.exr"),

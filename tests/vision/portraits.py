@@ -7,7 +7,7 @@ import numpy as np
 from PIL import Image
 
 from samira_subject.cast import build_cast
-from samira_subject.make import DatasetLight
+from samira_subject.lights import DatasetLight
 from samira_subject.performance import perform
 from samira_subject.raycaster import Effort
 from samira_subject.sky import CAPTURE
