@@ -35,6 +35,9 @@ DISC_RADIUS = 0.5
 """Degrees: the radius that point and directional lamps are given, twice the sun's; a texel and a half of a
 cubemap of 256."""
 
+EDGE_ON = 0.01
+"""Cosine between an area light's normal and the way to the head at which it shows its edge."""
+
 _DISC_CORNERS = 24
 """Of the polygon that stands for a round lamp."""
 
@@ -150,10 +153,9 @@ class AreaLight:
         if self.normal is not None:
             _check_vector(subject, "normal", self.normal)
         _check_outside(subject, "the lamp's nearest part", self._nearest())
-        if float(self._facing() @ _vector(self.position)) >= 0.0:
-            raise UserError(
-                subject, expected="a lamp whose front faces the head", found="one that shows it its back"
-            )
+        if float(self._facing() @ _unit(self.position)) > -EDGE_ON:
+            found = "one that shows it its back or its edge"
+            raise UserError(subject, expected="a lamp whose front faces the head", found=found)
 
     def outline(self) -> Tensor:
         """(4, 3) float64 corners, metres, so that its front is on the side of the head."""

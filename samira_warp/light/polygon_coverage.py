@@ -13,9 +13,8 @@ from torch import Tensor
 
 from samira_warp.kernels.cubemap.layout import FACES, face_axes
 
-_NEAR = 1e-3
-"""Share of the polygon's distance below which nothing of it is looked at: on a face's plane that lies beyond
-the face, as long as the polygon passes no nearer than this by the centre."""
+_SIDES = ((1.0, 0.0, 1.0), (-1.0, 0.0, 1.0), (0.0, 1.0, 1.0), (0.0, -1.0, 1.0))
+"""Inward normals of the four planes through the centre and a face's edges, in the face's own axes."""
 
 
 def polygon_coverage(outline: Tensor, *, size: int) -> Tensor:
@@ -29,20 +28,23 @@ def polygon_coverage(outline: Tensor, *, size: int) -> Tensor:
     axes = face_axes().to(outline.dtype)
     coverage = outline.new_zeros(FACES, size, size)
     for face in range(FACES):
-        ahead = _cut_before(outline @ axes[face].T, nearest=_NEAR * float(outline.norm(dim=1).min()))
-        if len(ahead):
-            coverage[face] = _square_shares((ahead[:, :2] / ahead[:, 2:] + 1.0) * (0.5 * size), size)
+        seen = outline @ axes[face].T
+        for side in _SIDES:
+            seen = _cut(seen, seen @ seen.new_tensor(side))
+        if len(seen) > 2:
+            coverage[face] = _square_shares((seen[:, :2] / seen[:, 2:] + 1.0) * (0.5 * size), size)
     return coverage
 
 
-def _cut_before(corners: Tensor, *, nearest: float) -> Tensor:
-    """The part (M, 3) of a convex polygon (N, 3) whose third coordinate is at least ``nearest``."""
+def _cut(corners: Tensor, heights: Tensor) -> Tensor:
+    """The part (M, 3) of a convex polygon (N, 3) that is above 0, from the heights (N,) of its corners."""
     kept = []
-    for here, there in zip(corners, corners.roll(-1, dims=0), strict=True):
-        if here[2] >= nearest:
+    for index, here in enumerate(corners):
+        there, low, high = corners[index - 1], heights[index - 1], heights[index]
+        if (low > 0.0) != (high > 0.0):
+            kept.append(there + low / (low - high) * (here - there))
+        if high > 0.0:
             kept.append(here)
-        if (here[2] >= nearest) != (there[2] >= nearest):
-            kept.append(here + (nearest - here[2]) / (there[2] - here[2]) * (there - here))
     return torch.stack(kept) if kept else corners[:0]
 
 

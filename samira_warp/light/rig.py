@@ -12,7 +12,7 @@ from torch import Tensor
 
 from samira_warp.io.files import read_json
 from samira_warp.kernels.cubemap.layout import texel_directions, texel_solid_angles
-from samira_warp.light.equirect import cube_to_equirect
+from samira_warp.light.equirect import cube_to_equirect, equirect_directions, row_solid_angles
 from samira_warp.light.lamps import AreaLight, DirectionalLight, Lamp, PointLight
 from samira_warp.light.polygon_coverage import polygon_coverage
 from samira_warp.support.errors import UserError
@@ -69,24 +69,30 @@ class LightRig:
     def to_cube(self, size: int) -> Tensor:
         """(6, size, size, 3) float32 radiance, as far from all lamps as the head's centre is.
 
-        Each lamp covers its exact share of every texel; its irradiance on surfaces that face it is exact.
+        Each lamp covers its exact share of every texel; its irradiance on a surface that faces it is exact.
         """
-        areas = texel_solid_angles(size, dtype=torch.float64)[..., None]
-        directions = texel_directions(size, dtype=torch.float64)
-        texels = torch.zeros_like(directions)
+        areas = texel_solid_angles(size, dtype=torch.float64)
+        measure = areas[..., None] * texel_directions(size, dtype=torch.float64)
+        texels = torch.zeros_like(measure)
         for lamp in self.lamps:
-            coverage = polygon_coverage(lamp.outline(), size=size)[..., None]
-            wanted = lamp.irradiance_vector()
-            found = (coverage * areas * directions).sum(dim=(0, 1, 2))
-            # along the lamp's own direction, which rounding to texel centres may turn a little
-            levels = (wanted * wanted).sum(dim=1) / (wanted @ found).clamp(min=1e-300)
-            texels += coverage * levels
+            texels += _leveled(polygon_coverage(lamp.outline(), size=size), measure, lamp)
         return texels.float()
 
     def to_panorama(self, height: int) -> Tensor:
-        """(height, 2 height, 3) float32 radiance, not turned (`samira_warp.light.equirect`)."""
+        """(height, 2 height, 3) float32 radiance, not turned (`samira_warp.light.equirect`).
+
+        Edges are as soft as a texel of the cubemap that it is looked up in, some 180 / height degrees. The
+        irradiance is exact as that of `to_cube` is; beyond 512 rows, pixels are those of 512 repeated.
+        """
         rows = min(height, _FINEST_PANORAMA)
-        panorama = cube_to_equirect(self.to_cube(max(rows // 2, 16)), height=rows)
+        angles = row_solid_angles(rows, 2 * rows)[:, None, None]
+        measure = angles * equirect_directions(rows).double()
+        panorama = torch.zeros_like(measure)
+        for lamp in self.lamps:
+            covered = polygon_coverage(lamp.outline(), size=max(rows // 2, 16))
+            seen = cube_to_equirect(covered[..., None].float(), height=rows)[..., 0]
+            panorama += _leveled(seen.double(), measure, lamp)
+        panorama = panorama.float()
         if rows == height:
             return panorama
         shape = (height, 2 * height)
@@ -96,6 +102,18 @@ class LightRig:
         """The rig in the layout of a map's texels, (6, S, S, 3) or (H, 2 H, 3), and on its device."""
         seen = self.to_cube(texels.shape[1]) if texels.dim() == 4 else self.to_panorama(texels.shape[0])
         return seen.to(texels.device)
+
+
+def _leveled(coverage: Tensor, measure: Tensor, lamp: Lamp) -> Tensor:
+    """(..., 3) radiance of a lamp at the level of its irradiance, from the share (...) of texels it covers.
+
+    ``measure`` (..., 3) is direction times solid angle; float64.
+    """
+    wanted = lamp.irradiance_vector()
+    found = (coverage[..., None] * measure).flatten(0, -2).sum(dim=0)
+    # along the lamp's own direction, from which texels' centres may stray a little
+    levels = (wanted * wanted).sum(dim=1) / (wanted @ found)
+    return coverage[..., None] * levels.nan_to_num(nan=0.0)  # a colour may be 0
 
 
 def _read_lamp(path: Path, index: int, entry: object) -> Lamp:

@@ -1,7 +1,8 @@
-"""``python -m samira_warp.render`` under lights of a user's: maps, pairs, folders, turntables, backgrounds,
-and materials changed."""
+"""``python -m samira_warp.render`` under lights of a user's: maps, pairs, folders, lamps, turntables,
+backgrounds, and materials changed."""
 
 import functools
+import json
 import subprocess
 import sys
 
@@ -15,7 +16,7 @@ from subjects import camera, render_command
 
 from samira_warp.avatar import Avatar, read_frames
 from samira_warp.io.images import image_size, read_image, write_exr, write_png
-from samira_warp.light import Environment, decode_srgb
+from samira_warp.light import Environment, LightRig, decode_srgb
 from samira_warp.light.equirect import equirect_directions
 from samira_warp.light.radiance_map import RadianceMap
 from samira_warp.stage import lights
@@ -29,6 +30,7 @@ def small_environments(monkeypatch):
     """Environment maps as cubes of 64 texels, as learned lights are: the default's 256 take seconds to
     filter."""
     monkeypatch.setattr(Environment, "load", functools.partial(Environment.load, size=64))
+    monkeypatch.setattr(Environment, "from_rig", functools.partial(Environment.from_rig, size=64))
     monkeypatch.setattr(lights, "SHEET_SIZE", 64)
 
 
@@ -85,6 +87,77 @@ def test_any_light_turns(tiny_run, tmp_path, maps):
     assert front > side + 0.01 > back + 0.02
     turned = picture(render(tiny_run, tmp_path / "learned", "--rotate", 90))
     assert np.abs(turned - picture(render(tiny_run, tmp_path / "unturned"))).max() > 1 / 255
+
+
+@pytest.fixture(scope="module")
+def rig(tmp_path_factory):
+    """A warm lamp on the camera's right, before the face."""
+    lamp = {
+        "kind": "area",
+        "position": [0.9, 0.2, 0.7],
+        "width": 0.5,
+        "height": 0.5,
+        "radiance": [24, 18, 12],
+    }
+    path = tmp_path_factory.mktemp("rig") / "rig.json"
+    path.write_text(json.dumps({"lamps": [lamp]}))
+    return path
+
+
+def test_lamps_light_alone_and_with_a_map_and_turn_with_it(tiny_run, tmp_path, maps, rig):
+    avatar, frame = Avatar.load(tiny_run), read_frames(tiny_run)[0]
+    lamps, dim = LightRig.load(rig), Environment.load(maps / "right.exr", exposure=1.0)
+    for name, options, light in [
+        ("alone", (), Environment.from_rig(lamps)),
+        ("turned", ("--rotate", 40, "--exposure", 2), Environment.from_rig(lamps).turned(40.0).exposed(2.0)),
+        ("both", ("--env", maps / "right.exr", "--rotate", 40), dim.with_rig(lamps).turned(40.0)),
+        ("auto", ("--env", maps / "right.exr", "--exposure", "auto"), dim.with_rig(lamps).exposed("auto")),
+    ]:
+        found = picture(render(tiny_run, tmp_path / name, "--lights", rig, *options))
+        with torch.no_grad():
+            expected = avatar.render(frame.parameters, frame.camera, light).image
+        np.testing.assert_allclose(found, expected.clamp(0, 1).numpy(), atol=0.51 / 255)
+    alone = picture(tmp_path / "alone")
+    left, right = (half[half.min(axis=-1) < 0.98].mean() for half in np.array_split(alone, 2, axis=1))
+    assert right > left + 0.05
+
+
+def test_lamps_are_added_to_every_map_of_a_sheet(tiny_run, tmp_path, maps, rig):
+    with_lamps = picture(
+        render(tiny_run, tmp_path / "lamps", "--env", maps, "--lights", rig), "contact_sheet"
+    )
+    without = picture(render(tiny_run, tmp_path / "maps", "--env", maps), "contact_sheet")
+    assert (with_lamps >= without - 1.01 / 255).all()
+    for row in np.array_split(with_lamps - without, 2, axis=0):
+        assert row.max() > 0.1
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        ('{"lamps": [{"kind": "spot"}]}', "lamp 0, kind: expected one of area, directional, point"),
+        ('[{"kind": "area"}]', "expected a JSON object, found list"),
+        ('{"lamps": [', "expected a JSON file"),
+        ('{"lamps": [{"kind": "point", "position": [0, 0, 0.1], "intensity": 1}]}', "outside the head"),
+        ('{"lamps": [{"kind": "directional", "direction": [0, 0, 1], "irradiance": NaN}]}', "irradiance"),
+    ],
+)
+def test_a_rig_that_cannot_be_used_is_one_line_of_the_command(tiny_run, tmp_path, content, said):
+    (tmp_path / "rig.json").write_text("\ufeff" + content, encoding="utf-8")
+    command = [sys.executable, "-m", "samira_warp.render", "--avatar", tiny_run, "--out", "out"]
+    done = subprocess.run(
+        [*map(str, command), "--lights", "rig.json"],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+        cwd=tmp_path,
+    )
+    assert (done.returncode, done.stdout) == (2, "")
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("error: rig.json")
+    assert said in line
+    assert not (tmp_path / "out").exists()
 
 
 def test_auto_exposure_does_not_know_how_bright_the_map_is(tiny_run, tmp_path, maps):

@@ -18,6 +18,7 @@ from stand_in import NAMES, PLAN, contents, stand_in
 from subjects import TESTS
 
 from samira_subject import make, plan
+from samira_subject.lights import panorama_of, resampled
 from samira_subject.make import make_subject
 from samira_subject.performance import perform
 from samira_subject.plan import VERSION
@@ -26,8 +27,9 @@ from samira_subject.studio import threads
 from samira_warp.data import open_sequence
 from samira_warp.head import Rig
 from samira_warp.io.files import read_json
-from samira_warp.io.images import image_size, read_image
-from samira_warp.light import Environment
+from samira_warp.io.images import image_size, read_image, write_exr
+from samira_warp.light import Environment, LightRig, equirect_directions
+from samira_warp.light.equirect import row_solid_angles
 from samira_warp.support.cli import run
 
 SCRIPT = TESTS / "subject" / "stand_in.py"
@@ -267,7 +269,17 @@ def test_a_finished_one_stays_until_another_is_whole(tmp_path, full_disk, monkey
         (["--out", "new", "--seed", "-1"], "--seed: expected at least 0"),
         (["--preview", "a.png", "--seed", "2147483648"], "--seed: expected at most 2147483647"),
         (["--out", "new", "--train", "0"], "--train"),
-        (["--preview", "a.png", "--light", "moon"], "--light"),
+        (["--preview", "a.png", "--light", "moon"], "moon"),
+        (["--preview", "a.png", "--lights", "rig.json"], "rig.json: expected a JSON file"),
+        (["--out", "new", "--rotate", "nan"], "--rotate: expected degrees"),
+        (["--out", "new", "--exposure", "0"], "--exposure: expected a factor above 0"),
+        (
+            ["--out", "new", "--relight", "window", "there/window.exr"],
+            "--relight: expected lights whose names",
+        ),
+        (["--out", "new", "--relight", "studio"], "--relight: expected lights whose names"),
+        (["--out", "new", "--relight", "capture.exr"], "--relight: expected lights whose names"),
+        (["--out", "new", "--relight", "sun.exr"], "sun.exr"),
         (["--preview", "a.png", "--frame", "200"], "--frame"),
     ],
 )
@@ -282,6 +294,96 @@ def test_the_tool_says_in_one_line_what_is_wrong_before_it_makes_anything(
     (line,) = capsys.readouterr().err.splitlines()
     assert complaint in line
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.fixture
+def tool(monkeypatch):
+    """The tool, which makes the stand-in with few rays in a few pictures."""
+    monkeypatch.syspath_prepend(TESTS.parent / "tools")
+    module = importlib.import_module("make_subject")
+    monkeypatch.setattr(module, "build_cast", lambda seed, texels: stand_in())
+    plan = module.SubjectPlan
+    monkeypatch.setattr(
+        module, "SubjectPlan", lambda *numbers, **more: plan(*numbers, **more, effort=PLAN.effort)
+    )
+
+    def make(out, *options):
+        sizes = ("--train", 1, "--test", 2, "--relit", 1, "--resolution", 48)
+        arguments = [str(word) for word in ("--out", out, *sizes, *options)]
+        assert run(module.main, module.SubjectConfig, program="make_subject", arguments=arguments) == 0
+        return out
+
+    return make
+
+
+@pytest.fixture
+def sun(tmp_path):
+    """A file of one small lamp on the subject's left, which is the picture's right."""
+    path = tmp_path / "sun.json"
+    lamp = {"kind": "directional", "direction": [1.0, 0.2, 0.4], "irradiance": [3.0, 2.0, 1.0]}
+    path.write_text(json.dumps({"lamps": [lamp]}))
+    return path
+
+
+def test_a_film_under_a_users_lights_and_its_truth_under_others(tool, sun, tmp_path):
+    write_exr(tmp_path / "hall.exr", (1.0 + equirect_directions(20)).numpy())
+    folder = tool(
+        tmp_path / "made", "--lights", sun, "--exposure", 1.5, "--relight", tmp_path / "hall.exr", "dusk"
+    )
+    sequence = open_sequence(folder)
+    assert (len(sequence.train), len(sequence.test)) == (1, 2)
+    table = importlib.import_module("relight_table")
+    lights = {light.name: light for light in table.read_lights(folder)}
+    assert list(lights) == ["dusk", "hall", "capture"]
+    for name in ("dusk", "hall"):
+        assert [path.name for path in lights[name].truth.iterdir()] == ["00001_00.png"]
+    assert read_json(folder / "gt" / "capture_light.json")["exposure"] == 1.5
+    # the file is the lamp: `equirect_to_cube` keeps one of a few pixels to a few percent
+    mean = lights["capture"].environment.mean_irradiance()
+    lamp = Environment.from_rig(LightRig.load(sun), size=64).exposed(1.5).mean_irradiance()
+    torch.testing.assert_close(mean, lamp, rtol=3e-2, atol=0.0)
+    # what is lit is on the lamp's side
+    image, mask = (
+        read_image(folder / layer / "00001_00.png", channels=3) for layer in ("images", "fg_masks")
+    )
+    sides = ((..., slice(0, 24), slice(None)), (..., slice(24, 48), slice(None)))
+    left, right = (image[side][mask[side] > 0.9].mean() for side in sides)
+    assert right > 2.0 * left
+    assert read_json(folder / "dataset.json")["plan"]["lights"] == ["capture", "hall", "dusk"]
+
+
+def test_a_light_turns_and_adds_up(sun, tmp_path):
+    """Turned by 90 degrees what was on the right (+x) is straight ahead (-z): `equirect`'s convention."""
+    rig = LightRig.load(sun)
+    for light in ("stage", None):
+        plain, turned = (panorama_of(light, rig, rotate=degrees).double() for degrees in (0.0, 90.0))
+        angles = row_solid_angles(*plain.shape[:2])[:, None, None]
+        directions = equirect_directions(len(plain)).double()
+        before, after = ((x[..., :1] * angles * directions).sum(dim=(0, 1)) for x in (plain, turned))
+        # (x, y, z) to (z, y, -x); pixels are whole columns then, and float32
+        torch.testing.assert_close(
+            after,
+            before[[2, 1, 0]] * before.new_tensor([1, 1, -1]),
+            rtol=1e-5,
+            atol=1e-6 * float(before.norm()),
+        )
+    both, alone = (panorama_of("stage", some) for some in (rig, None))
+    seen = resampled(both - panorama_of(None, rig), rows=len(alone))
+    torch.testing.assert_close(seen, alone, rtol=1e-4, atol=1e-4 * float(both.max()))
+
+
+@pytest.mark.parametrize(("height", "rows"), [(20, 64), (64, 64), (150, 64)])
+@pytest.mark.parametrize("rotate", [0.0, 33.3, -170.0])
+def test_a_panorama_at_another_size_keeps_all_its_light(height, rows, rotate, generator):
+    panorama = torch.rand(height, 2 * height, 3, generator=generator) ** 8
+    found = resampled(panorama, rows=rows, rotate=rotate)
+    assert found.shape == (rows, 2 * rows, 3)
+    means = [
+        (x.double() * row_solid_angles(*x.shape[:2])[:, None, None]).sum(dim=(0, 1))
+        for x in (panorama, found)
+    ]
+    # shares of float32 in sums of up to 300 values
+    torch.testing.assert_close(*means, rtol=1e-5, atol=0.0)
 
 
 def test_two_tools_do_not_make_one_folder(tmp_path, monkeypatch):

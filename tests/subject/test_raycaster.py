@@ -12,6 +12,7 @@ from samira_subject.raycaster import Effort, PosedSkin, Skin
 from samira_subject.raycaster_sampling import SkyTables
 from samira_subject.sky import CAPTURE, SKIES, paint_sky
 from samira_warp.geometry.camera import Camera
+from samira_warp.light import DirectionalLight, LightRig
 from samira_warp.light.equirect import equirect_directions
 
 EVEN = Effort(samples=8, lights=4, lobes=3, rounds=0)
@@ -223,3 +224,28 @@ def test_half_a_pixel_is_half_covered():
     assert picture.coverage[:, 2] == pytest.approx(0.5, abs=1 / 16)
     # what is seen of it is as bright as elsewhere
     assert picture.radiance[:, 2] == pytest.approx(0.5, rel=1e-3)
+
+
+def test_a_small_lamp_casts_a_hard_shadow_where_geometry_puts_it():
+    """A plate 30 mm before a wall, half a degree of sun from the right: its shadow lies 22.5 mm to the left.
+
+    The lamp's edge blurs by 0.5 degrees to either side over 37.5 mm, and its panorama's texels by as much
+    again: by 1 mm along the wall.
+    """
+    direction, irradiance = (0.6, 0.0, 0.8), 2.0
+    lamp = LightRig((DirectionalLight(direction, (irradiance,) * 3),))
+    corners = [[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]]
+    plate = [[0.01 * x, 0.01 * y, 0.03] for x, y, _ in corners]
+    faces = [[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]]
+    scene = posed(skin(corners + plate, faces, albedo=0.1))
+    sky = SkyTables.build(lamp.to_panorama(512))
+    picture = scene.render(camera(size=100, field=0.1), sky, effort=EVEN, seed=1)
+    across = 1000.0 * (torch.arange(100) + 0.5 - 50.0) * 0.001
+    wall = across.abs() > 11.0  # 10 / 0.97 mm, where the plate hides it
+    dark = (across > -31.5) & (across < -13.5) & wall
+    lit = ((across < -33.5) | (across > 11.5)) & wall
+    row = picture.radiance[50, :, 0]
+    # table of irradiance: a lamp at the edge of no block's horizon, to 1e-3
+    assert row[lit].numpy() == pytest.approx(0.1 / math.pi * 0.8 * irradiance, rel=5e-3)
+    # what the plate's back sends on: its albedo times the wall's light, at most
+    assert float(row[dark].max()) < 0.1 * 0.1 / math.pi * 0.8 * irradiance
