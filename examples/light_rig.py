@@ -69,11 +69,14 @@ def main(options: Options) -> None:
     lights |= {f"turned_{degrees:g}": whole.turned(degrees) for degrees in options.turns}
     lights |= {f"stops_{stops:g}": whole.exposed(2.0**stops) for stops in options.stops}
 
-    # The head is moved and rasterised once: only the light changes.
+    # The head is moved, rasterised and traced once: only the light changes.
     motion = avatar.move(frame.parameters)
     gbuffer = avatar.rasterize(motion, frame.camera)
+    occlusion = avatar.occluder.occlude(motion.head)
     pictures = [
-        avatar.shade(motion, gbuffer, frame.camera, light, background=0.0).image.cpu().numpy()
+        avatar.shade(motion, gbuffer, frame.camera, light, background=0.0, occlusion=occlusion)
+        .image.cpu()
+        .numpy()
         for light in lights.values()
     ]
     options.out.mkdir(parents=True, exist_ok=True)

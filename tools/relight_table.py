@@ -1,11 +1,12 @@
-"""Score a relit avatar against true relit frames, light by light, beside an oracle without shadows.
+"""Score a relit avatar against true relit frames, light by light, beside oracles with and without shadows.
 
 usage: python tools/relight_table.py --avatar DIR --data DIR [--json]
 
 The dataset brings gt/relight/LIGHT/NAME.png with LIGHT.json (file, azimuth_degrees, exposure), gt/normal,
-gt/albedo, and gt/capture_light.json for its own images. The oracle is this package's shading of the true
+gt/albedo, and gt/capture_light.json for its own images. The oracles are this package's shading of the true
 normals and albedo, with skin's initial roughness and reflectance: what an avatar with perfect geometry and
-albedo would score without visibility. Both are scored as `python -m samira_warp.evaluate` does.
+albedo would score without shadows, and with those that the tracked mesh casts. All are scored as
+`python -m samira_warp.evaluate` does.
 """
 
 from __future__ import annotations
@@ -15,24 +16,28 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 import torch
+from scipy.ndimage import distance_transform_edt
 from torch import Tensor
 
-from samira_warp.avatar import Avatar
+from samira_warp.avatar import Avatar, CanonicalHead
 from samira_warp.avatar.gaussians import INITIAL_ROUGHNESS, INITIAL_SPECULAR
+from samira_warp.avatar.occlusion import Occluder, gaussian_arrival, vertex_arrival
 from samira_warp.avatar.storage import find_avatar
 from samira_warp.data import Frame, TrackedSequence, open_sequence
 from samira_warp.evaluate import ImagePair, evaluate_images
 from samira_warp.geometry.camera import Camera
 from samira_warp.io.files import read_json
 from samira_warp.io.images import read_image, resize_box, to_uint8
+from samira_warp.kernels.mesh.interpolate import interpolate
+from samira_warp.kernels.mesh.mesh_raster import rasterize_mesh
 from samira_warp.light import Environment, FilteredLight, compose, decode_srgb, shade
 from samira_warp.support.cli import run
 from samira_warp.support.errors import UserError
-from samira_warp.surface import Surface
+from samira_warp.surface import CHANNELS, LIGHT_CHANNELS, Surface
 
 MATTE_MIN = 0.05
 """Below this coverage an 8-bit albedo on white holds too little of the surface to recover it."""
@@ -40,12 +45,14 @@ MATTE_MIN = 0.05
 
 @dataclass(frozen=True)
 class TableConfig:
-    """Score a relit avatar against true relit frames, light by light, beside an oracle without shadows."""
+    """Score a relit avatar against true relit frames, beside oracles with and without shadows."""
 
     avatar: Path
     """Avatar folder, or the run folder that it is in."""
     data: Path
     """Dataset with gt/relight, gt/normal and gt/albedo."""
+    shadows: Literal["on", "off"] = "on"
+    """Let the avatar's head block the light."""
     resolution: int = 256
     """Width and height of the comparison, pixels."""
     json: bool = False
@@ -65,15 +72,18 @@ def main(config: TableConfig) -> None:
     """One row a light."""
     avatar = Avatar.load(find_avatar(config.avatar))
     sequence = open_sequence(config.data)
-    rows = []
+    rows, caster = [], ShadowCaster.of(sequence)
     for light in read_lights(config.data):
         filtered = light.environment.filtered()
-        scores = [
-            evaluate_images(pairs(sequence, light, predict, resolution=config.resolution), protocol={})
-            for predict in (AvatarPrediction(avatar, filtered), OraclePrediction(config.data, filtered))
-        ]
-        row = {"light": light.name}
-        for who, score in zip(("avatar", "oracle"), scores, strict=True):
+        predictions = {
+            "avatar": AvatarPrediction(avatar, filtered, config.shadows == "on"),
+            "oracle": OraclePrediction(config.data, filtered, None),
+            "oracle in shadow": OraclePrediction(config.data, filtered, caster),
+        }
+        row: dict[str, str | float] = {"light": light.name}
+        for who, predict in predictions.items():
+            shown = pairs(sequence, light, predict, resolution=config.resolution)
+            score = evaluate_images(shown, protocol={})
             row |= {
                 f"{who} PSNR": score["psnr"],
                 f"{who} foreground": score["psnr_foreground"],
@@ -148,17 +158,52 @@ class AvatarPrediction(NamedTuple):
 
     avatar: Avatar
     light: FilteredLight
+    shadows: bool
 
     def __call__(self, frame: Frame, camera: Camera, mask: Tensor) -> Tensor:
         """(H, W, 3) display values on white."""
-        return self.avatar.render(frame.parameters, camera, self.light).image
+        return self.avatar.render(frame.parameters, camera, self.light, shadows=self.shadows).image
+
+
+class ShadowCaster(NamedTuple):
+    """The tracked mesh, pixel by pixel."""
+
+    canonical: CanonicalHead
+    occluder: Occluder
+
+    @classmethod
+    def of(cls, sequence: TrackedSequence) -> ShadowCaster:
+        """The mesh of a sequence."""
+        canonical = CanonicalHead.build(
+            sequence.template, shape=sequence.shape, static_offset=sequence.static_offset, uv_size=64
+        )
+        return cls(canonical, Occluder(canonical.vertices, canonical.topology))
+
+    def channels(self, frame: Frame, camera: Camera, light: FilteredLight) -> dict[str, Tensor]:
+        """The channels of light of every pixel, (H W, width): the mesh's, or its nearest pixel's."""
+        head = self.canonical.pose(frame.parameters)
+        arrival = vertex_arrival(self.occluder.occlude(head), light, camera)
+        roughness = torch.full((len(arrival), 1), INITIAL_ROUGHNESS)
+        values = gaussian_arrival(arrival, roughness)
+        seen = head.vertices @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
+        focal, center = seen.new_tensor([camera.fx, camera.fy]), seen.new_tensor([camera.cx, camera.cy])
+        points = torch.cat([focal * seen[:, :2] / seen[:, 2:] + center, seen[:, 2:]], dim=1)[None]
+        raster = rasterize_mesh(points, self.canonical.topology, width=camera.width, height=camera.height)
+        pixels = interpolate(values[None].contiguous(), raster, self.canonical.topology)[0]
+        nearest = distance_transform_edt(
+            raster.face[0].numpy() < 0, return_distances=False, return_indices=True
+        )
+        filled = pixels[tuple(torch.from_numpy(place) for place in nearest)].flatten(0, 1)
+        widths = [CHANNELS[name].width for name in LIGHT_CHANNELS]
+        return dict(zip(LIGHT_CHANNELS, filled.split(widths, dim=1), strict=True))
 
 
 class OraclePrediction(NamedTuple):
-    """True normals and albedo under a light."""
+    """True normals and albedo under a light, with the shadows of a mesh or without any."""
 
     data: Path
     light: FilteredLight
+    caster: ShadowCaster | None
 
     def __call__(self, frame: Frame, camera: Camera, mask: Tensor) -> Tensor:
         """(H, W, 3) display values on white."""
@@ -175,6 +220,7 @@ class OraclePrediction(NamedTuple):
             normal=normal,
             roughness=INITIAL_ROUGHNESS * ones,
             specular=INITIAL_SPECULAR * ones,
+            **({} if self.caster is None else self.caster.channels(frame, camera, self.light)),
         )
         shaded = shade(surface, -camera.ray_directions().flatten(0, 1), self.light)
         return compose(shaded.color.unflatten(0, mask.shape), mask[..., None], 1.0)

@@ -23,7 +23,7 @@ from samira_warp.kernels.cubemap.layout import texel_directions, texel_solid_ang
 from samira_warp.kernels.cubemap.lookup import sample_cubemap
 from samira_warp.kernels.mesh.mesh_normals import mesh_normals
 from samira_warp.kernels.mesh.topology import MeshTopology
-from samira_warp.kernels.rays.arriving import arriving_irradiance, open_share
+from samira_warp.kernels.rays.arriving import arriving_irradiance, open_shares
 from samira_warp.kernels.rays.occlusion import unblocked
 from samira_warp.kernels.rays.ray_mesh import RayMesh
 from samira_warp.light.equirect import turn_directions
@@ -165,15 +165,13 @@ def vertex_arrival(occlusion: Occlusion, light: FilteredLight, camera: Camera) -
     center = (camera.center - transform[:3, 3]) @ transform[:3, :3]
     view = torch.nn.functional.normalize(center - occlusion.points, dim=-1)
     mirrored = 2.0 * (normals * view).sum(dim=-1, keepdim=True) * normals - view
-    lobes = [
-        open_share(occlusion.bits, mirrored, view.new_full((len(view),), edge), directions, areas)[:, None]
-        for edge in (lobe_edge(GLOSSY), lobe_edge(ROUGH))
-    ]
-    return torch.cat([shares, *lobes, occlusion.openness], dim=1)
+    edges = view.new_tensor([lobe_edge(GLOSSY), lobe_edge(ROUGH)])
+    lobes = open_shares(occlusion.bits, mirrored, edges, directions, areas)
+    return torch.cat([shares, lobes, occlusion.openness], dim=1)
 
 
 def lobe_edge(roughness: float) -> float:
-    """The cosine of the angle at which a lobe of some roughness ends, for `open_share`.
+    """The cosine of the angle at which a lobe of some roughness ends, for `open_shares`.
 
     Half vectors lie mostly within atan(alpha) of the normal, the mirrored light within twice that; a texel
     and a half of the sky is added, so that the narrowest lobe has directions in it.

@@ -26,6 +26,7 @@ def measure(device: torch.device, *, preset: PresetName) -> dict[str, object]:
     grey = torch.full((size, size, 3), 0.5, device=device)
     target = Target(grey, torch.ones(size, size, device=device), grey)
     stopwatch, weights = Stopwatch(device), LossWeights()
+    occlusion = avatar.occluder.occlude(avatar.canonical.pose(parameters[0]))
 
     def step() -> None:
         with stopwatch.stage("light"):
@@ -35,7 +36,7 @@ def measure(device: torch.device, *, preset: PresetName) -> dict[str, object]:
         with stopwatch.stage("raster"):
             gbuffer = avatar.rasterize(motion, camera)
         with stopwatch.stage("shading"):
-            rendering = avatar.shade(motion, gbuffer, camera, light)
+            rendering = avatar.shade(motion, gbuffer, camera, light, occlusion=occlusion.under(motion.head))
         with stopwatch.stage("loss"):
             terms = total_loss(rendering, target, avatar, weights, stage_two=True, perceptual=None)
             optimizer.zero_grad(set_to_none=True)

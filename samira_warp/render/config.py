@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from tyro.conf import UseAppendAction
 
@@ -57,6 +57,8 @@ class RenderConfig:
     turntable: float | None = None
     """Seconds in which the light goes round once, round one held frame (--frames N) or the sequence; writes
     videos."""
+    shadows: Literal["on", "off"] = "on"
+    """Let the head block the light. An avatar that learned its light without shadows casts none under it."""
     background: str = "white"
     """white, black, env (the environment behind the head) or an image file."""
     roughness: str | None = None

@@ -64,10 +64,16 @@ def render(config: RenderConfig) -> int:
     avatar = Avatar.load(folder, device=device)
     frames = select_frames(config, avatar, folder)
     background = Background(config.background, color_space=avatar.settings.color_space)
-    scene = Scene(avatar, edits, background)
+    scene = Scene(avatar, edits, background, shadows=_casts_shadows(config, avatar))
     if maps is not None:
         return _render_sheet(config, scene, frames[0], maps, rig)
     return _render_sequence(config, scene, frames, rig)
+
+
+def _casts_shadows(config: RenderConfig, avatar: Avatar) -> bool:
+    """Whether the head blocks the light: as asked, but not a learned light whose shadows are painted in."""
+    other_light = bool(config.env) or config.lights is not None
+    return config.shadows == "on" and (avatar.settings.visibility or other_light)
 
 
 def material_edits(config: RenderConfig) -> tuple[MaterialEdit, ...]:

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from samira_warp.avatar import Avatar, DrivingFrame, GBuffer, MaterialEdit, Motion, Rendering
+from samira_warp.avatar.occlusion import Occlusion
 from samira_warp.geometry.camera import Camera
 from samira_warp.light import Environment, FilteredLight
 from samira_warp.light.radiance_map import RadianceMap
@@ -21,11 +22,13 @@ class PosedView(NamedTuple):
         camera: The view.
         motion: The posed head.
         gbuffer: Its surface, as the camera sees it.
+        occlusion: Which directions it blocks; None where it casts no shadows.
     """
 
     camera: Camera
     motion: Motion
     gbuffer: GBuffer
+    occlusion: Occlusion | None
 
 
 class SceneLight(NamedTuple):
@@ -51,11 +54,13 @@ class Scene(NamedTuple):
         avatar: The avatar, on its device.
         edits: Changes to its materials.
         background: What is behind it.
+        shadows: Whether it blocks the light.
     """
 
     avatar: Avatar
     edits: tuple[MaterialEdit, ...]
     background: Background
+    shadows: bool = True
 
     @property
     def device(self) -> torch.device:
@@ -63,9 +68,11 @@ class Scene(NamedTuple):
         return self.avatar.canonical.vertices.device
 
     def view(self, frame: DrivingFrame) -> PosedView:
-        """Move the head and rasterise it."""
+        """Move the head, rasterise it, and trace what it blocks."""
         camera, motion = frame.camera.to(self.device), self.avatar.move(frame.parameters.to(self.device))
-        return PosedView(camera, motion, self.avatar.rasterize(motion, camera, edits=self.edits))
+        gbuffer = self.avatar.rasterize(motion, camera, edits=self.edits)
+        occlusion = self.avatar.occluder.occlude(motion.head) if self.shadows else None
+        return PosedView(camera, motion, gbuffer, occlusion)
 
     def light(self, environment: Environment) -> SceneLight:
         """Filter an environment, once for all pictures."""
@@ -84,4 +91,6 @@ class Scene(NamedTuple):
 
     def shade(self, view: PosedView, light: FilteredLight, behind: Tensor | float) -> Rendering:
         """Shade a view and put display values behind it."""
-        return self.avatar.shade(view.motion, view.gbuffer, view.camera, light, background=behind)
+        return self.avatar.shade(
+            view.motion, view.gbuffer, view.camera, light, background=behind, occlusion=view.occlusion
+        )

@@ -13,6 +13,7 @@ import warp as wp
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from samira_warp.kernels.rays import arriving_cpu
 from samira_warp.kernels.runtime import launch_range
 from samira_warp.support.validation import check_tensors
 
@@ -54,30 +55,33 @@ def arriving_irradiance(bits: Tensor, normals: Tensor, directions: Tensor, power
     return Irradiance(*_Arriving.apply(bits, normals.detach(), directions.detach(), powers))
 
 
-def open_share(bits: Tensor, axes: Tensor, edges: Tensor, directions: Tensor, areas: Tensor) -> Tensor:
-    """The share of a lobe about an axis that is open: directions count by ((c - e) / (1 - e))^2.
+def open_shares(bits: Tensor, axes: Tensor, edges: Tensor, directions: Tensor, areas: Tensor) -> Tensor:
+    """The shares of K lobes about an axis that are open: directions count by (c - e)^2 within a lobe.
 
     c is the cosine to the axis, and e that of the lobe's edge, beyond which nothing counts.
 
     Args:
         bits: (M, D / 32) int32, which directions are open.
         axes: (M, 3) float32 unit vectors.
-        edges: (M,) float32, -1 to below 1: wide enough that some direction is within.
+        edges: (K,) float32, -1 to below 1: wide enough that some direction is within.
         directions: (D, 3) float32 unit vectors.
         areas: (D,) float32 solid angles of the directions.
 
     Returns:
-        (M,) float32 in 0..1; exactly 1 where all is open, and where no direction is within the lobe.
+        (M, K) float32 in 0..1; exactly 1 where all is open, and where no direction is within the lobe.
 
     Raises:
         UserError: A tensor has another shape, dtype or device.
     """
     _check(bits, axes, directions, name="axes")
     count = len(directions)
-    check_tensors(("edges", edges, (len(bits),)), ("areas", areas, (count,)), device=bits.device)
-    result = torch.empty_like(edges)
-    inputs = (tensor.contiguous() for tensor in (bits, axes, edges, directions, areas))
-    launch_range(_open_share, len(bits), *inputs, result, grain=GRAIN)
+    check_tensors(("edges", edges, ("K",)), ("areas", areas, (count,)), device=bits.device)
+    result = areas.new_empty(len(bits), len(edges))
+    inputs = [tensor.contiguous() for tensor in (bits, axes, edges, directions, areas)]
+    if bits.is_cuda:
+        launch_range(_open_shares, len(bits), *inputs, result, grain=GRAIN)
+    else:
+        arriving_cpu.sum_lobes(*inputs, result)
     return result
 
 
@@ -97,7 +101,11 @@ class _Arriving(torch.autograd.Function):
     ) -> tuple[Tensor, Tensor]:
         given = [tensor.contiguous() for tensor in (bits, normals, directions)]
         arriving, unblocked = torch.empty_like(given[1]), torch.empty_like(given[1])
-        launch_range(_arriving, len(bits), *given, powers.contiguous(), arriving, unblocked, grain=GRAIN)
+        inputs = (*given, powers.contiguous(), arriving, unblocked)
+        if bits.is_cuda:
+            launch_range(_arriving, len(bits), *inputs, grain=GRAIN)
+        else:
+            arriving_cpu.sum_arriving(*inputs)
         ctx.save_for_backward(*given)
         return arriving, unblocked
 
@@ -105,9 +113,10 @@ class _Arriving(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, *upstream: Tensor) -> tuple[Tensor | None, ...]:
         bits, normals, directions = ctx.saved_tensors
-        grads = (grad.contiguous() for grad in upstream)
+        inputs = (bits, normals, directions, *(grad.contiguous() for grad in upstream))
+        if not bits.is_cuda:
+            return None, None, None, arriving_cpu.sum_adjoint(*inputs)
         result = torch.empty_like(directions)
-        inputs = (bits, normals, directions, *grads)
         launch_range(_arriving_adjoint, len(directions), *inputs, result, grain=DIRECTION_GRAIN)
         return None, None, None, result
 
@@ -166,25 +175,23 @@ def _arriving_adjoint(
 
 
 @wp.kernel(enable_backward=False)
-def _open_share(
+def _open_shares(
     first: wp.int32,
     bits: wp.array2d[wp.int32],
     axes: wp.array[wp.vec3],
     edges: wp.array[wp.float32],
     directions: wp.array[wp.vec3],
     areas: wp.array[wp.float32],
-    result: wp.array[wp.float32],
+    result: wp.array2d[wp.float32],
 ) -> None:
-    """One point's lobe."""
+    """The lobes of one point."""
     m = first + wp.tid()
-    axis = axes[m]
-    edge = edges[m]
-    open = wp.float32(0.0)
-    all = wp.float32(0.0)
-    for d in range(directions.shape[0]):
-        above = wp.dot(axis, directions[d]) - edge
-        if above > 0.0:
+    for k in range(edges.shape[0]):
+        open = wp.float32(0.0)
+        all = wp.float32(0.0)
+        for d in range(directions.shape[0]):
+            above = wp.max(wp.dot(axes[m], directions[d]) - edges[k], 0.0)
             weight = above * above * areas[d]
             all += weight
             open += wp.where(is_open(bits, m, d), weight, 0.0)
-    result[m] = wp.where(all > 0.0, open / all, 1.0)
+        result[m, k] = wp.where(all > 0.0, open / all, 1.0)
