@@ -77,11 +77,18 @@ def open_shares(bits: Tensor, axes: Tensor, edges: Tensor, directions: Tensor, a
     count = len(directions)
     check_tensors(("edges", edges, ("K",)), ("areas", areas, (count,)), device=bits.device)
     result = areas.new_empty(len(bits), len(edges))
-    inputs = [tensor.contiguous() for tensor in (bits, axes, edges, directions, areas)]
+    inputs = (
+        bits.contiguous(),
+        axes.contiguous(),
+        edges,
+        directions.contiguous(),
+        areas.contiguous(),
+        result,
+    )
     if bits.is_cuda:
-        launch_range(_open_shares, len(bits), *inputs, result, grain=GRAIN)
+        launch_range(_open_shares, len(bits), *inputs, grain=GRAIN)
     else:
-        arriving_cpu.sum_lobes(*inputs, result)
+        arriving_cpu.sum_lobes(*inputs)
     return result
 
 

@@ -1,8 +1,8 @@
 """Sums over the directions above points on the CPU, sixteen directions at a time in clang's vector types.
 
-Warp compiles a CPU kernel as one scalar loop, so the loops over directions are native snippets; `arriving` says
-the same one direction at a time in Warp. Directions and powers come in packets: (D / 16, 3, 16), so that a
-coordinate of sixteen of them is one vector.
+Warp compiles a CPU kernel as one scalar loop, so the loops over directions are native snippets; `arriving`
+says the same one direction at a time in Warp. Directions and powers come in packets: (D / 16, 3, 16), so that
+a coordinate of sixteen of them is one vector.
 """
 
 from __future__ import annotations
