@@ -23,6 +23,10 @@ ROWS_STEP = 64
 """What rows are a multiple of: irradiance is summed over whole blocks of pixels."""
 
 
+EVENLY = 0.5
+"""Share of the draws that a user's light is not to keep for its brightest lamp, which may be a sun."""
+
+
 class DatasetLight:
     """A light of the dataset.
 
@@ -45,7 +49,9 @@ class DatasetLight:
         with threads(1):
             self.radiance = paint_sky(SKIES[name]) if radiance is None else radiance
             self.exposure = exposure_of(self.radiance) if exposure is None else exposure
-            self.tables = SkyTables.build(self.radiance * self.exposure)
+            self.tables = SkyTables.build(
+                self.radiance * self.exposure, evenly=0.0 if radiance is None else EVENLY
+            )
 
     @property
     def file(self) -> str:

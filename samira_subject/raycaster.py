@@ -196,7 +196,8 @@ class _Sums(NamedTuple):
     def error(self) -> Tensor:
         """(P,) standard error of the luminance, the ratio linearised.
 
-        Samples that are stratified do better than it says.
+        Samples that are stratified do better than it says. It is all of the light without shadows where no
+        sample drew any of it.
         """
         each = self._each()[:, 0]
         lit = _luminance(self.seen) / _luminance(self.drawn).clamp(min=1e-12)
@@ -204,7 +205,9 @@ class _Sums(NamedTuple):
         squares, mixed, excesses = self.products.unbind(dim=1)
         squared = squares - 2.0 * lit * mixed + lit**2 * excesses
         variance = (squared / each - ((found - lit * excess) / each) ** 2).clamp(min=0.0)
-        return (variance / (self.hits - 1).clamp(min=1)).sqrt()
+        spread = (variance / (self.hits - 1).clamp(min=1)).sqrt()
+        unknown = (_luminance(self.drawn) == 0.0) & (_luminance(self.open) > 0.0)
+        return torch.where(unknown, _luminance(self.open) / each, spread)
 
     def noisier_than(self, tolerance: float, camera: Camera) -> Tensor:
         """(P,) bool: whether the error is above a share of the radiance.
@@ -234,8 +237,11 @@ class _Sums(NamedTuple):
         return self.hits.clamp(min=1)[:, None]
 
     def _lit(self) -> Tensor:
-        """(P, 3) share of the sky's light that no part of the head keeps off."""
-        return torch.where(self.drawn > 0.0, self.seen / self.drawn, 0.0)
+        """(P, 3) share of the sky's light that no part of the head keeps off.
+
+        All of it where nothing was drawn that lights the surface: there no ray has met a shadow.
+        """
+        return torch.where(self.drawn > 0.0, self.seen / self.drawn, 1.0)
 
 
 def _luminance(light: Tensor) -> Tensor:

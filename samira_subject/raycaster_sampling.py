@@ -51,14 +51,23 @@ class SkyTables(NamedTuple):
     irradiance: Tensor
 
     @classmethod
-    def build(cls, radiance: Tensor) -> SkyTables:
-        """The tables of a (H, W, 3) float32 panorama, on its device."""
+    def build(cls, radiance: Tensor, *, evenly: float = 0.0) -> SkyTables:
+        """The tables of a (H, W, 3) float32 panorama, on its device.
+
+        Args:
+            radiance: The panorama.
+            evenly: Share of the draws that go by brightness only up to its mean: what a small lamp does not
+                light is lit by the rest of the sky, to which next to no draw would go.
+        """
         height, width = radiance.shape[:2]
         brightness = radiance.double() @ torch.tensor(LUMINANCE, dtype=torch.float64, device=radiance.device)
         angles = row_solid_angles(height, width, device=radiance.device)[:, None]
         mean = (brightness * angles).sum() / (4.0 * math.pi)
         chances = (brightness + FLOOR * mean + 1e-12) * angles
         chances = chances / chances.sum()
+        if evenly:
+            clipped = (brightness.clamp(max=mean) + FLOOR * mean + 1e-12) * angles
+            chances = (1.0 - evenly) * chances + evenly * clipped / clipped.sum()
         by_row = chances.sum(dim=1)
         rows = torch.nn.functional.pad(by_row.cumsum(dim=0), (1, 0))
         columns = torch.nn.functional.pad((chances / by_row[:, None]).cumsum(dim=1), (1, 0))

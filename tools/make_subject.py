@@ -167,6 +167,8 @@ def _light(
     Raises:
         UserError: It cannot be read, or is black.
     """
+    if what == name and name in SKIES:
+        return DatasetLight(name, exposure=exposure)
     radiance = panorama_of(what, rig, rotate=rotate)
     if not bool(radiance.any()):
         raise UserError(what or "the lamps", expected="some light", found="none")

@@ -13,7 +13,7 @@ from samira_subject.raycaster_sampling import SkyTables
 from samira_subject.sky import CAPTURE, SKIES, paint_sky
 from samira_warp.geometry.camera import Camera
 from samira_warp.light import DirectionalLight, LightRig
-from samira_warp.light.equirect import equirect_directions
+from samira_warp.light.equirect import equirect_directions, row_solid_angles
 
 EVEN = Effort(samples=8, lights=4, lobes=3, rounds=0)
 
@@ -125,12 +125,14 @@ def brute_force(radiance, *, albedo, roughness, specular, finer=8):
 
 @pytest.mark.parametrize("name", ["studio", "stage"])
 @pytest.mark.parametrize("drawn", [(4, 1), (1, 4), (6, 0)])
-def test_every_way_of_drawing_gives_the_sum_over_the_sky(name, drawn):
+@pytest.mark.parametrize("evenly", [0.0, 0.5])
+def test_every_way_of_drawing_gives_the_sum_over_the_sky(name, drawn, evenly):
     radiance = paint_sky(SKIES[name], height=32)
     stuff = {"albedo": 0.3, "roughness": 0.4, "specular": 0.05}
     effort = Effort(samples=64, lights=drawn[0], lobes=drawn[1], rounds=0)
     # a narrow field: every pixel looks along -z to half a degree
-    picture = square(**stuff).render(camera(field=0.01), SkyTables.build(radiance), effort=effort, seed=5)
+    sky = SkyTables.build(radiance, evenly=evenly)
+    picture = square(**stuff).render(camera(field=0.01), sky, effort=effort, seed=5)
     expected = brute_force(radiance, **stuff)
     found = picture.radiance.double().mean(dim=(0, 1))
     spread = picture.radiance.double().flatten(0, 1).std(dim=0) / 16
@@ -249,3 +251,40 @@ def test_a_small_lamp_casts_a_hard_shadow_where_geometry_puts_it():
     assert row[lit].numpy() == pytest.approx(0.1 / math.pi * 0.8 * irradiance, rel=5e-3)
     # what the plate's back sends on: its albedo times the wall's light, at most
     assert float(row[dark].max()) < 0.1 * 0.1 / math.pi * 0.8 * irradiance
+
+
+def sun_and_fill():
+    """A sun on the right (+x), and a fill a hundred times as weak on the left: next to no draw goes to it."""
+    sun = DirectionalLight((1.0, 0.0, 0.2), (10.0,) * 3)
+    fill = DirectionalLight((-1.0, 0.0, 0.4), (0.1,) * 3, radius=30.0)
+    return LightRig((sun, fill)).to_panorama(256)
+
+
+@pytest.mark.parametrize("evenly", [0.0, 0.5])
+def test_no_pixel_is_black_for_want_of_a_draw(evenly):
+    """On a convex body nothing is left to chance, however few rays there are."""
+    sky, few = SkyTables.build(sun_and_fill(), evenly=evenly), Effort(samples=2, lights=1, lobes=1, rounds=0)
+    view = camera(field=0.25, size=32)
+    picture = sphere(albedo=0.5).render(view, sky, effort=few, seed=1)
+    shaded = (picture.coverage == 1) & (picture.normal[..., 0] < -0.3) & (picture.normal[..., 2] > 0.3)
+    cosines = (picture.normal @ torch.tensor([-1.0, 0.0, 0.4]) / math.hypot(1.0, 0.4))[shaded]
+    assert len(cosines) > 40
+    # normals are means over a pixel of 8 mm on a sphere of 100, cosines of a 30 degree lamp at its horizon
+    assert picture.radiance[shaded][:, 0].numpy() == pytest.approx(
+        (0.5 / math.pi * 0.1 * cosines).numpy(), rel=0.05, abs=2e-4
+    )
+
+
+def test_draws_that_go_evenly_are_still_chances():
+    radiance = sun_and_fill()
+    by_brightness, evenly = (SkyTables.build(radiance, evenly=share) for share in (0.0, 0.5))
+    directions = equirect_directions(len(radiance))
+    angles = row_solid_angles(*radiance.shape[:2])[:, None]
+    shares = []
+    for tables in (by_brightness, evenly):
+        chances = tables.density.double() * angles
+        assert float(chances.sum()) == pytest.approx(1.0, rel=1e-5)
+        shares.append(float(chances[directions[..., 0] < 0].sum()))
+    # the fill's radiance and the sky's mean are of one size: it gets most of the even half
+    assert shares[0] < 0.03
+    assert shares[1] > 0.3
