@@ -25,7 +25,7 @@ from torch import Tensor
 
 from samira_warp.avatar import Avatar, CanonicalHead
 from samira_warp.avatar.gaussians import INITIAL_ROUGHNESS, INITIAL_SPECULAR
-from samira_warp.avatar.occlusion import Occluder, gaussian_arrival, vertex_arrival
+from samira_warp.avatar.occlusion import Occluder, gaussian_arrival
 from samira_warp.avatar.storage import find_avatar
 from samira_warp.data import Frame, TrackedSequence, open_sequence
 from samira_warp.evaluate import ImagePair, evaluate_images
@@ -182,7 +182,7 @@ class ShadowCaster(NamedTuple):
     def channels(self, frame: Frame, camera: Camera, light: FilteredLight) -> dict[str, Tensor]:
         """The channels of light of every pixel, (H W, width): the mesh's, or its nearest pixel's."""
         head = self.canonical.pose(frame.parameters)
-        arrival = vertex_arrival(self.occluder.occlude(head), light, camera)
+        arrival = self.occluder.arrival(self.occluder.occlude(head), light, camera)
         roughness = torch.full((len(arrival), 1), INITIAL_ROUGHNESS)
         values = gaussian_arrival(arrival, roughness)
         seen = head.vertices @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]

@@ -15,7 +15,7 @@ from samira_warp.avatar.canonical import CanonicalHead
 from samira_warp.avatar.editing import MaterialEdit, edit_materials
 from samira_warp.avatar.gaussians import Gaussians
 from samira_warp.avatar.gbuffer import GBuffer, blend_arrival, render_gbuffer
-from samira_warp.avatar.occlusion import Occluder, Occlusion, gaussian_arrival, vertex_arrival
+from samira_warp.avatar.occlusion import Occluder, Occlusion, gaussian_arrival
 from samira_warp.avatar.residual import axis_angle_to_quaternion, limit_residual, quaternion_product
 from samira_warp.avatar.response import response_factors, response_map
 from samira_warp.avatar.settings import AvatarSettings
@@ -270,7 +270,7 @@ class Avatar(nn.Module):
 
         Differentiable in the light alone.
         """
-        at_gaussians = gather(vertex_arrival(occlusion, light, camera), self.corners)
+        at_gaussians = gather(self.occluder.arrival(occlusion, light, camera), self.corners)
         return gaussian_arrival(at_gaussians, self.gaussians.roughness.detach()[:, None])
 
     def display(self, values: torch.Tensor) -> torch.Tensor:

@@ -120,6 +120,7 @@ class Occluder:
         self.topology = topology
         self._mesh = RayMesh(vertices, topology.faces)
         self._lock = threading.Lock()
+        self._traced: Tensor | None = None
 
     @torch.no_grad()
     def occlude(self, head: PosedHead) -> Occlusion:
@@ -127,12 +128,45 @@ class Occluder:
         points = head.in_head_frame().detach().contiguous()
         normals = mesh_normals(points[None], self.topology)[0]
         directions, areas, _ = sky(points.device)
-        with self._lock:
-            self._mesh.refit(points)
-            bits = unblocked(points, normals, self._mesh, directions)
+        bits = self._trace(points, normals, directions)
         uniform = areas[:, None].expand(-1, 3).contiguous()
         openness = _ratio(*arriving_irradiance(bits, normals, directions, uniform))[:, :1]
         return Occlusion(bits, points, normals, head.head_transform.detach(), openness.clamp(min=LEAST_OPEN))
+
+    def arrival(self, occlusion: Occlusion, light: FilteredLight, camera: Camera) -> Tensor:
+        """What of a light arrives at the vertices; differentiable in the light.
+
+        Args:
+            occlusion: What is blocked.
+            light: On the same device.
+            camera: Likewise; where glints are seen from.
+
+        Returns:
+            (V, 6) float32: the share of the diffuse light by colour, of a glossy and of a rough lobe about
+            the mirrored view, and openness.
+        """
+        normals, transform = occlusion.normals, occlusion.transform
+        directions, areas, _ = sky(normals.device)
+        bits, toward, powers = occlusion.bits, directions, sky_powers(light, transform)
+        if light.spots is not None:
+            spots = (turn_directions(light.spots.directions, -light.rotate) @ transform[:3, :3]).contiguous()
+            bits = torch.cat([bits, self._trace(occlusion.points, normals, spots)], dim=1)
+            toward, powers = torch.cat([toward, spots]), torch.cat([powers, light.spots.powers])
+        shares = _ratio(*arriving_irradiance(bits, normals, toward, powers))
+        center = (camera.center - transform[:3, 3]) @ transform[:3, :3]
+        view = torch.nn.functional.normalize(center - occlusion.points, dim=-1)
+        mirrored = 2.0 * (normals * view).sum(dim=-1, keepdim=True) * normals - view
+        edges = view.new_tensor([lobe_edge(GLOSSY), lobe_edge(ROUGH)])
+        lobes = open_shares(occlusion.bits, mirrored, edges, directions, areas)
+        return torch.cat([shares, lobes, occlusion.openness], dim=1)
+
+    def _trace(self, points: Tensor, normals: Tensor, directions: Tensor) -> Tensor:
+        """(V, D / 32) bits of what a pose leaves open; poses differ by their points."""
+        with self._lock:
+            if self._traced is not points:
+                self._mesh.refit(points)
+                self._traced = points
+            return unblocked(points, normals, self._mesh, directions)
 
 
 def sky_powers(light: FilteredLight, transform: Tensor) -> Tensor:
@@ -144,30 +178,6 @@ def sky_powers(light: FilteredLight, transform: Tensor) -> Tensor:
     directions = turn_directions((samples @ transform[:3, :3].T).flatten(0, 1), light.rotate)
     radiance = sample_cubemap(light.radiance, directions.contiguous())
     return radiance.unflatten(0, samples.shape[:2]).mean(dim=1) * areas[:, None]
-
-
-def vertex_arrival(occlusion: Occlusion, light: FilteredLight, camera: Camera) -> Tensor:
-    """What of a light arrives at the vertices; differentiable in the light.
-
-    Args:
-        occlusion: What is blocked.
-        light: On the same device.
-        camera: Likewise; where glints are seen from.
-
-    Returns:
-        (V, 6) float32: the share of the diffuse light by colour, of a glossy and of a rough lobe about the
-        mirrored view, and openness.
-    """
-    directions, areas, _ = sky(occlusion.bits.device)
-    normals, transform = occlusion.normals, occlusion.transform
-    powers = sky_powers(light, transform)
-    shares = _ratio(*arriving_irradiance(occlusion.bits, normals, directions, powers))
-    center = (camera.center - transform[:3, 3]) @ transform[:3, :3]
-    view = torch.nn.functional.normalize(center - occlusion.points, dim=-1)
-    mirrored = 2.0 * (normals * view).sum(dim=-1, keepdim=True) * normals - view
-    edges = view.new_tensor([lobe_edge(GLOSSY), lobe_edge(ROUGH)])
-    lobes = open_shares(occlusion.bits, mirrored, edges, directions, areas)
-    return torch.cat([shares, lobes, occlusion.openness], dim=1)
 
 
 def lobe_edge(roughness: float) -> float:

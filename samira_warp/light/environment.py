@@ -179,11 +179,11 @@ class Environment:
 
     def filtered(self) -> FilteredLight:
         """Irradiance and prefiltered mips. Takes a second or two for a map of 256: keep the result."""
-        light = FilteredLight.of(self.diffuse, self.specular)
+        light = FilteredLight.of(self.diffuse, self.specular).with_spots(self.diffuse)
         # Sums over the cube's parities round to some 1e-7 of the brightest light, which may fall below 0
         # where no light is.
         maps = light.irradiance.clamp(min=0), tuple(mip.clamp(min=0) for mip in light.specular)
-        return FilteredLight(*maps, light.radiance, self.rotate, self.exposure)
+        return FilteredLight(*maps, light.radiance, self.rotate, self.exposure, light.spots)
 
     def background(self, camera: Camera, *, color_space: ColorSpace = "srgb") -> Tensor:
         """(H, W, 3) display values that the camera sees behind the head, 0 to 1: a background to render with.

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from samira_warp.kernels.cubemap.filter import irradiance, prefilter
 from samira_warp.kernels.cubemap.layout import texel_solid_angles
+from samira_warp.light.bright_spots import BrightSpots, divide
 from samira_warp.light.equirect import check_degrees
 from samira_warp.support.errors import UserError
 from samira_warp.support.exposure import check_exposure
@@ -25,6 +26,9 @@ SHADOW_SIZE = 16
 """Texels along a face of the radiance that shadows are summed of: finer than the directions of
 `samira_warp.avatar.occlusion`."""
 
+SPOT_SIZE = 64
+"""Texels along a face in which bright parts are looked for: a degree and a half."""
+
 _SHRINK = (2, 2, 4, 4, 8, 8, 8, 8)
 """The base's size over that of the filtered mips."""
 
@@ -39,9 +43,11 @@ class FilteredLight:
         irradiance: (6, 16, 16, 3) float32, E_d: the cosine-weighted mean radiance about each direction.
         specular: Mips (6, S, S, 3) float32: the radiance itself, then E_s at every ROUGHNESS_STEP up to a
             roughness of 1.
-        radiance: (6, 16, 16, 3) float32: the radiance that diffuse surfaces see, for cast shadows.
+        radiance: (6, 16, 16, 3) float32: the radiance that diffuse surfaces see, for cast shadows; without
+            ``spots``.
         rotate: Degrees by which the light is turned about the vertical, as `Environment.rotate`.
         exposure: Factor on its radiance.
+        spots: Bright parts of it that cast shadows with edges, or None.
     """
 
     irradiance: Tensor
@@ -49,6 +55,7 @@ class FilteredLight:
     radiance: Tensor
     rotate: float = 0.0
     exposure: float = 1.0
+    spots: BrightSpots | None = None
 
     @classmethod
     def of(cls, diffuse: Tensor, specular: Tensor) -> FilteredLight:
@@ -65,11 +72,21 @@ class FilteredLight:
         filtered = irradiance(diffuse, size=IRRADIANCE_SIZE), prefilter(specular, ladder=ladder)
         return cls(*filtered, _shrink(diffuse, size=SHADOW_SIZE))
 
+    def with_spots(self, diffuse: Tensor) -> FilteredLight:
+        """The same light with the bright parts of its diffuse map apart, for shadows with edges.
+
+        Args:
+            diffuse: The map that it was filtered of.
+        """
+        divided = divide(_shrink(diffuse, size=SPOT_SIZE))
+        return replace(self, radiance=_shrink(divided.rest, size=SHADOW_SIZE), spots=divided.spots)
+
     def to(self, device: torch.device | str) -> FilteredLight:
         """The same light on ``device``."""
         moved = tuple(mip.to(device) for mip in self.specular)
         irradiance, radiance = self.irradiance.to(device), self.radiance.to(device)
-        return replace(self, irradiance=irradiance, specular=moved, radiance=radiance)
+        spots = None if self.spots is None else self.spots.to(device)
+        return replace(self, irradiance=irradiance, specular=moved, radiance=radiance, spots=spots)
 
     def turned(self, degrees: float) -> FilteredLight:
         """The same light turned by so many degrees more.
