@@ -26,6 +26,14 @@ def unblocked(
     The order of the directions does not matter to the result. It does to the time: let each 16 in a row, from
     a multiple of 16, be neighbours, such as a block of 4 x 4 texels of a cubemap's face.
 
+    A triangle that is nowhere higher than ``offset`` above its point's horizon, the plane through it across
+    the normal, blocks nothing from there: a convex body is unblocked to the bit wherever it stands, on the
+    CPU. There a triangle is also larger than it is by some 4e-7 of its distance, so that no ray slips through
+    an edge or a vertex that triangles share. On a GPU rays are Warp's, with its leaks (`RayMesh`). A triangle
+    without area blocks nothing.
+
+    The same bits for any number of threads.
+
     Args:
         points: (M, 3) float32, usually the mesh's vertices.
         normals: (M, 3) float32, unit length, or zero for a point to cast nothing from.
@@ -49,6 +57,8 @@ def unblocked(
     if len(directions) % WORD:
         raise UserError("directions", expected=f"a multiple of {WORD} directions", found=f"{len(directions)}")
     result = torch.empty(len(points), len(directions) // WORD, dtype=torch.int32, device=device)
+    if result.numel() == 0:
+        return result
     inputs = (points.contiguous(), normals.contiguous(), mesh, directions.contiguous(), offset)
     side = occlusion_cuda if device.type == "cuda" else occlusion_cpu
     side.occlusion(*inputs, result)

@@ -30,6 +30,8 @@ class RayMesh:
     refit it meanwhile, and on a GPU no other stream that has not been waited for. A CUDA graph that casts
     rays at a mesh needs it for as long as it is replayed.
 
+    `unblocked` on the CPU has a tree of its own, `blocks`, in which no ray slips through.
+
     Attributes:
         vertices: (V, 3) float32, where they are now; not to be written to.
         faces: (F, 3) int32 vertex ids.
@@ -63,8 +65,9 @@ class RayMesh:
         with stream_of(points.device):
             self._held = [wp.Mesh(points=warp_array(points, wp.vec3), indices=warp_array(corners, wp.int32))]
         self.id = int(self._held[0].id)
+        self._triangles = points, corners.view(-1, 3)
         self._blocks: BlockTree | None = None
-        self._blocks_lock = threading.Lock()
+        self._building = threading.Lock()
         if points.device.type == "cuda":
             weakref.finalize(self, _free, self._held, points.device).atexit = False
 
@@ -74,11 +77,10 @@ class RayMesh:
 
     @property
     def blocks(self) -> BlockTree:
-        """The tree for the CPU's vector instructions, which is built where it is first asked for."""
-        with self._blocks_lock:
+        """The tree for a CPU's vector instructions: built when it is first asked for, then refitted, too."""
+        with self._building, torch.inference_mode(False):
             if self._blocks is None:
-                points, corners = self._held[0].points, self._held[0].indices
-                self._blocks = BlockTree(wp.to_torch(points), wp.to_torch(corners).view(-1, 3))
+                self._blocks = BlockTree(*self._triangles)
             return self._blocks
 
     def refit(self, vertices: Tensor) -> None:
@@ -104,7 +106,7 @@ class RayMesh:
         with stream_of(vertices.device):
             self._held[0].refit()
         if self._blocks is not None:
-            self._blocks.refit(wp.to_torch(self._held[0].points))
+            self._blocks.refit(self._triangles[0])
 
 
 def _check_finite(vertices: Tensor) -> None:
