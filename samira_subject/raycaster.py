@@ -21,7 +21,7 @@ from samira_warp.geometry.camera import Camera
 from samira_warp.geometry.mesh import vertex_normals
 from samira_warp.kernels.rays.ray_mesh import RayMesh
 from samira_warp.kernels.runtime import launch_range
-from samira_warp.light.environment import LUMINANCE
+from samira_warp.light.color import LUMINANCE
 
 GRAIN = 64
 """Pixels that are worth a thread."""

@@ -23,7 +23,7 @@ from samira_subject.shading import (
     sample_cosine,
     sample_lobe,
 )
-from samira_warp.light.environment import LUMINANCE as LUMINANCE_WEIGHTS
+from samira_warp.light.color import LUMINANCE as LUMINANCE_WEIGHTS
 
 PI = wp.constant(math.pi)
 

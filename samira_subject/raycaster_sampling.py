@@ -9,7 +9,7 @@ import torch
 import warp as wp
 from torch import Tensor
 
-from samira_warp.light.environment import LUMINANCE
+from samira_warp.light.color import LUMINANCE
 from samira_warp.light.equirect import equirect_directions, row_solid_angles, wrap_equirect
 
 PI = wp.constant(math.pi)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from samira_warp.light.environment import LUMINANCE
+from samira_warp.light.color import LUMINANCE
 from samira_warp.light.equirect import equirect_directions, row_solid_angles
 
 HEIGHT = 128

@@ -10,7 +10,7 @@ from subjects import TESTS
 from samira_subject.sky import SKIES
 from samira_warp import Environment
 from samira_warp.io.images import read_image
-from samira_warp.light.environment import LUMINANCE
+from samira_warp.light.color import LUMINANCE
 
 TOOL = TESTS.parent / "tools" / "make_lights.py"
 SHIPPED = TESTS.parent / "samira_warp" / "assets" / "lights"

@@ -18,7 +18,7 @@ import OpenImageIO
 import torch
 
 from samira_subject.sky import SKIES, paint_sky
-from samira_warp.light.environment import LUMINANCE
+from samira_warp.light.color import LUMINANCE
 from samira_warp.light.equirect import row_solid_angles
 from samira_warp.support.cli import run
 from samira_warp.support.errors import UserError

@@ -17,7 +17,7 @@ from samira_warp.head import FrameParameters
 from samira_warp.light import Environment
 
 SIZES = (256, 512)
-STAGES = ("light", "motion", "raster", "shading", "total")
+STAGES = ("light", "motion", "occlusion", "raster", "shading", "total")
 
 
 class Scenario(NamedTuple):
@@ -27,8 +27,9 @@ class Scenario(NamedTuple):
         moves: What the user moves.
         cached: Results that are made once and used again.
         light: Filter a light each frame, of the learned light's size.
-        motion: Pose the head and run the motion network.
+        motion: Pose the head, run the motion network, and trace what the head blocks.
         raster: Rasterise the G-buffer.
+        shadows: Let the head block the light.
     """
 
     moves: str
@@ -36,6 +37,7 @@ class Scenario(NamedTuple):
     light: bool = False
     motion: bool = False
     raster: bool = False
+    shadows: bool = True
 
 
 SCENARIOS = (
@@ -44,6 +46,9 @@ SCENARIOS = (
     Scenario("camera", "light, motion", raster=True),
     Scenario("light", "motion, G-buffer", light=True),
     Scenario("exposure", "light, motion, G-buffer"),
+    Scenario("everything", "nothing", light=True, motion=True, raster=True, shadows=False),
+    Scenario("head", "light", motion=True, raster=True, shadows=False),
+    Scenario("light", "motion, G-buffer", light=True, shadows=False),
 )
 
 
@@ -64,6 +69,7 @@ def measure(device: torch.device, *, size: int) -> list[dict[str, object]]:
             "gaussians": len(avatar.gaussians),
             "moves": scenario.moves,
             "cached": scenario.cached,
+            "shadows": scenario.shadows,
         }
         rows.append(
             {
@@ -83,6 +89,7 @@ def _frames(scenario: Scenario, avatar: Avatar, camera: Camera, stopwatch: Stopw
     light = learned.filtered()
     motion = avatar.move(make_parameters(0).to(device))
     gbuffer = avatar.rasterize(motion, camera)
+    occlusion = avatar.occluder.occlude(motion.head)
 
     def frame() -> None:
         number = next(frames)
@@ -97,19 +104,23 @@ def _frames(scenario: Scenario, avatar: Avatar, camera: Camera, stopwatch: Stopw
     def render(
         parameters: FrameParameters, view: Camera, environment: Environment, *, exposure: float
     ) -> None:
-        nonlocal light, motion, gbuffer
+        nonlocal light, motion, gbuffer, occlusion
         if scenario.light:
             with stopwatch.stage("light"):
                 light = environment.filtered()
         if scenario.motion:
             with stopwatch.stage("motion"):
                 motion = avatar.move(parameters)
+        if scenario.motion and scenario.shadows:
+            with stopwatch.stage("occlusion"):
+                occlusion = avatar.occluder.occlude(motion.head)
         if scenario.raster:
             with stopwatch.stage("raster"):
                 gbuffer = avatar.rasterize(motion, view)
         with stopwatch.stage("shading"):
             shown = view if scenario.raster else camera
-            avatar.shade(motion, gbuffer, shown, light.exposed(exposure))
+            casts = occlusion if scenario.shadows else None
+            avatar.shade(motion, gbuffer, shown, light.exposed(exposure), occlusion=casts)
 
     repeat(frame)
 

@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from samira_warp.kernels.cubemap.layout import texel_directions, texel_solid_angles
-from samira_warp.train.skin import LUMINANCE
+from samira_warp.light.color import LUMINANCE
 
 SPOTS = 32
 """Directions that stand for them: two packets of rays a vertex."""

@@ -13,6 +13,10 @@ ColorSpace = Literal["srgb", "raw"]
 """What image values mean: "srgb" is the encoded sRGB of linear shading, "raw" the shading itself."""
 
 
+LUMINANCE = (0.2126, 0.7152, 0.0722)
+"""Weights of linear red, green and blue in luminance (ITU-R BT.709)."""
+
+
 def encode_srgb(linear: Tensor) -> Tensor:
     """Linear values of any shape to sRGB display values.
 

@@ -12,7 +12,7 @@ from torch import Tensor
 from samira_warp.geometry.camera import Camera
 from samira_warp.io.images import write_exr
 from samira_warp.kernels.cubemap.layout import check_cubemap, texel_solid_angles
-from samira_warp.light.color import ColorSpace, to_display
+from samira_warp.light.color import LUMINANCE, ColorSpace, to_display
 from samira_warp.light.cross import cube_to_cross, resample_cube
 from samira_warp.light.equirect import VALUES_AT_ONCE, check_degrees
 from samira_warp.light.filtered import FilteredLight
@@ -28,9 +28,6 @@ SPECULAR_FILE = "light_specular.exr"
 
 DIFFUSE_MULTIPLE, SPECULAR_MULTIPLE = 2, 16
 """What the sizes of the two cubemaps must be divisible by, to be filtered (`FilteredLight.of`)."""
-
-LUMINANCE = (0.2126, 0.7152, 0.0722)
-"""Weights of linear red, green and blue in luminance (ITU-R BT.709)."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,7 +25,7 @@ from torch import Tensor
 from samira_warp.avatar import Gaussians
 from samira_warp.head.regions import REGIONS, response_coverage, route_faces
 from samira_warp.head.template import HeadTemplate
-from samira_warp.light.environment import LUMINANCE
+from samira_warp.light.color import LUMINANCE
 
 SKIN_REGIONS = ("forehead", "nose", "cheeks")
 """Regions of bare skin, beards aside, which the ranges have room for."""

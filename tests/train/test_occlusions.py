@@ -1,0 +1,81 @@
+"""What the head blocks in training frames: traced once, again where it moved, and the same after a break."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from subjects import parameters, small_avatar
+
+from samira_warp.head import FrameParameters
+from samira_warp.train import occlusions as module
+from samira_warp.train.occlusions import FrameOcclusions
+from samira_warp.train.tracking import TrackedParameters
+
+
+class Counted:
+    """An occluder that counts how often it traces."""
+
+    def __init__(self, occluder):
+        self.occluder, self.count = occluder, 0
+
+    def occlude(self, head):
+        self.count += 1
+        return self.occluder.occlude(head)
+
+
+@pytest.fixture
+def case():
+    avatar = small_avatar()
+    frames = [parameters(seed) for seed in range(3)]
+    tracked = TrackedParameters(FrameParameters.stack(frames))
+    counted = Counted(avatar.occluder)
+    return avatar, frames, counted, FrameOcclusions(avatar.canonical, counted, tracked)
+
+
+def shown(avatar, occlusions, row, frame):
+    return occlusions.of(row, frame, avatar.canonical.pose(frame))
+
+
+def test_a_frame_is_traced_once_wherever_the_head_goes(case):
+    avatar, frames, counted, occlusions = case
+    first = shown(avatar, occlusions, 1, frames[1])
+    moved = replace(frames[1], translation=frames[1].translation + 0.3)
+    second = shown(avatar, occlusions, 1, moved)
+    assert counted.count == 1
+    assert torch.equal(first.bits, second.bits)
+    assert torch.equal(second.transform, avatar.canonical.pose(moved).head_transform)
+
+
+def test_a_face_that_moves_by_more_than_a_millimetre_is_traced_again(case):
+    avatar, frames, counted, occlusions = case
+    shown(avatar, occlusions, 0, frames[0])
+    slightly, far = (replace(frames[0], expression=frames[0].expression + change) for change in (1e-5, 1.0))
+    shown(avatar, occlusions, 0, slightly)
+    assert counted.count == 1
+    found = shown(avatar, occlusions, 0, far)
+    assert counted.count == 2
+    assert torch.equal(found.bits, avatar.occluder.occlude(avatar.canonical.pose(far)).bits)
+
+
+def test_a_run_that_goes_on_has_the_same_bits(case):
+    """A frame that has moved a little since it was traced keeps what was traced then."""
+    avatar, frames, _, occlusions = case
+    shown(avatar, occlusions, 2, frames[2])
+    moved = replace(frames[2], expression=frames[2].expression + 1e-4)
+    before = shown(avatar, occlusions, 2, moved)
+    fresh = FrameOcclusions(
+        avatar.canonical, avatar.occluder, TrackedParameters(FrameParameters.stack(frames))
+    )
+    fresh.load_state({name: values.clone() for name, values in occlusions.state().items()})
+    after = shown(avatar, fresh, 2, moved)
+    for name in ("bits", "normals", "openness", "transform"):
+        assert torch.equal(getattr(before, name), getattr(after, name)), name
+
+
+def test_what_does_not_fit_is_traced_again_from_the_same_parameters(case, monkeypatch):
+    avatar, frames, counted, occlusions = case
+    monkeypatch.setattr(module, "KEPT_BYTES", 1)
+    first = [shown(avatar, occlusions, row, frame).bits for row, frame in enumerate(frames)]
+    again = [shown(avatar, occlusions, row, frame).bits for row, frame in enumerate(frames)]
+    assert all(torch.equal(one, other) for one, other in zip(first, again, strict=True))
+    assert counted.count == 6
