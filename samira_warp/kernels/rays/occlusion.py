@@ -30,7 +30,7 @@ def unblocked(
     the normal, blocks nothing from there: a convex body is unblocked to the bit wherever it stands, on the
     CPU. There a triangle is also larger than it is by some 4e-7 of its distance, so that no ray slips through
     an edge or a vertex that triangles share. On a GPU rays are Warp's, with its leaks (`RayMesh`). A triangle
-    without area blocks nothing.
+    without area, or thinner than some 4e-6 of its length, blocks nothing.
 
     The same bits for any number of threads.
 

@@ -53,11 +53,15 @@ BAND = 2.0**-23
 axes: four roundings in each of its components and three in its product with a direction, each 2^-24 of
 Euclidean lengths, which those sums exceed."""
 
+THIN = 2.0**-18
+"""Sine of a corner's angle, in the same sums, below which a triangle counts as one without area: its normal
+has an error of 2^-22 in them."""
+
 _CONSTANTS = f"""
     #pragma clang fp contract(on)
     const int WIDTH = {WIDTH}, PACKET = {PACKET}, AT_ONCE = {AT_ONCE};
-    const float BAND = {BAND!r}f;
-    const float SLACK = 2e-6f;   // of a centre's distance: what a product with a direction may err by, and more
+    const float BAND = {BAND!r}f, THIN = {THIN!r}f;
+    const float SLACK = 2e-6f;   // of a distance: what a product with a direction may err by, and more
     const float ALL = -3e38f;    // a cap that holds all directions
 """
 
@@ -157,10 +161,13 @@ _LEAF = r"""
         const Eight ux = bx - ax, uy = by - ay, uz = bz - az;
         const Eight vx = cx - bx, vy = cy - by, vz = cz - bz;
         const Eight wx = ax - cx, wy = ay - cy, wz = az - cz;
-        const Eight volume = ax * (uy * vz - uz * vy) + ay * (uz * vx - ux * vz) + az * (ux * vy - uy * vx);
+        const Eight gx = uy * vz - uz * vy, gy = uz * vx - ux * vz, gz = ux * vy - uy * vx;
+        const Eight volume = ax * gx + ay * gy + az * gz;
         const Eight one = 1.0f, never = -3e38f;
         const Eight side = volume < 0.0f ? -one : one;
-        const auto there = (height > 0.0f) & (volume != 0.0f);
+        // without an area well above its rounding a triangle has no side to tell
+        const auto whole_area = length1(gx, gy, gz) > THIN * (length1(ux, uy, uz) * length1(vx, vy, vz));
+        const auto there = (height > 0.0f) & (volume != 0.0f) & whole_area;
 
         // moments and bands of the three edges; what is not there fails by the first one's band
         Eight moment[3][3], band[3];
