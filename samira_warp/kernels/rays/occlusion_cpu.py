@@ -54,8 +54,8 @@ axes: four roundings in each of its components and three in its product with a d
 Euclidean lengths, which those sums exceed."""
 
 THIN = 2.0**-18
-"""Sine of a corner's angle, in the same sums, below which a triangle counts as one without area: its normal
-has an error of 2^-22 in them."""
+"""Twice the area over the square of the longest edge, both as sums over the axes, up to which a triangle
+counts as one without area: `BAND` then reaches a tenth of its distance beyond its tip."""
 
 _CONSTANTS = f"""
     #pragma clang fp contract(on)
@@ -165,9 +165,11 @@ _LEAF = r"""
         const Eight volume = ax * gx + ay * gy + az * gz;
         const Eight one = 1.0f, never = -3e38f;
         const Eight side = volume < 0.0f ? -one : one;
-        // without an area well above its rounding a triangle has no side to tell
-        const auto whole_area = length1(gx, gy, gz) > THIN * (length1(ux, uy, uz) * length1(vx, vy, vz));
-        const auto there = (height > 0.0f) & (volume != 0.0f) & whole_area;
+        // bands as wide as a triangle would carry it on beyond its tip, and without an area it has no side
+        const Eight longest = greatest(
+            greatest(length1(ux, uy, uz), length1(vx, vy, vz)), length1(wx, wy, wz));
+        const auto has_area = length1(gx, gy, gz) > THIN * longest * longest;
+        const auto there = (height > 0.0f) & (volume != 0.0f) & has_area;
 
         // moments and bands of the three edges; what is not there fails by the first one's band
         Eight moment[3][3], band[3];
