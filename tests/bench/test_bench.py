@@ -5,7 +5,7 @@ from dataclasses import fields
 import pytest
 import torch
 
-from samira_warp.bench import avatar, gsplat_peer, mesh, raster, timing
+from samira_warp.bench import avatar, embree_peer, gsplat_peer, mesh, raster, timing, visibility
 from samira_warp.bench.disc import make_disc
 from samira_warp.bench.memory import peak_bytes
 from samira_warp.bench.subject import make_avatar, make_camera, make_parameters
@@ -90,6 +90,28 @@ def test_the_plain_kernels_stop_when_their_time_is_up_and_say_so(monkeypatch, ca
     rows = list(raster.run(torch.device("cpu"), TINY))
     assert [row.plain_forward_ms is None for row in rows] == [False, False, True, True]
     assert capsys.readouterr().err.startswith("plain kernels left out")
+
+
+def test_visibility_rows_compare_the_same_rays(monkeypatch, capsys, use_threads):
+    monkeypatch.setattr(visibility, "FACE", 4)
+    monkeypatch.setattr(visibility, "REPEATS", 1)
+    monkeypatch.setattr(visibility, "embree_ms", lambda *rays: 1e3 if len(rays[2]) == len(rays[3]) else None)
+    use_threads(2)
+    visibility.main("cpu", True)
+    rows = json.loads(capsys.readouterr().out)
+    assert torch.get_num_threads() == 2
+    assert [row["threads"] for row in rows] == [1, 2]
+    for row in rows:
+        assert set(row) == {field.name for field in fields(visibility.Row)}
+        assert row["embree_rays_per_s"] == row["rays"]
+        # a closed head's vertices have half of all directions above them; mouth and eyes are shut in
+        assert 0.4 < row["rays"] / (96 * row["points"]) < 0.6
+        assert 0.2 < row["blocked"] < 0.6
+
+
+def test_embree_is_left_out_where_it_is_not(monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    assert embree_peer.embree_ms(*[torch.zeros(0, 3)] * 4) is None
 
 
 def test_mesh_rows_are_of_heads_in_the_picture(monkeypatch, capsys):
