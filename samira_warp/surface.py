@@ -5,7 +5,7 @@ shading reads it, layers draw it and edits change it: all of them follow this ta
 specification in `samira_warp.reference`. Reading the table loads neither torch nor Warp.
 
 Some channels are the surface's own; others say what of the light gets there past the rest of the head. Those
-are neutral until a light is chosen, and move no Gaussians (`avatar.gbuffer.blend_arrival`).
+are neutral until a light is chosen (`avatar.gbuffer.blend_arrival`).
 
 A channel is added in three places: here; where it comes from, `Avatar.surface` or `avatar.occlusion`; and
 where it is used, a parameter of its name in the kernels of `samira_warp.kernels.shading.deferred` and their

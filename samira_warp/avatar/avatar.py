@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from numbers import Real
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,7 +14,7 @@ from torch import nn
 from samira_warp.avatar.canonical import CanonicalHead
 from samira_warp.avatar.editing import MaterialEdit, edit_materials
 from samira_warp.avatar.gaussians import Gaussians
-from samira_warp.avatar.gbuffer import GBuffer, blend_arrival, render_gbuffer
+from samira_warp.avatar.gbuffer import GBuffer, blend_arrival, light_channels, render_gbuffer
 from samira_warp.avatar.occlusion import Occluder, Occlusion, gaussian_arrival
 from samira_warp.avatar.residual import axis_angle_to_quaternion, limit_residual, quaternion_product
 from samira_warp.avatar.response import response_factors, response_map
@@ -194,13 +194,29 @@ class Avatar(nn.Module):
         soft_masks = self.canonical.atlas.soft_masks
         return gather(soft_masks.flatten(1).T.contiguous(), self.uv_samples)
 
-    def rasterize(self, motion: Motion, camera: Camera, *, edits: Sequence[MaterialEdit] = ()) -> GBuffer:
-        """The G-buffer of moved Gaussians, their materials changed by ``edits``."""
+    def rasterize(
+        self,
+        motion: Motion,
+        camera: Camera,
+        *,
+        edits: Sequence[MaterialEdit] = (),
+        arrival: torch.Tensor | None = None,
+    ) -> GBuffer:
+        """The G-buffer of moved Gaussians.
+
+        Args:
+            motion: The Gaussians.
+            camera: The view.
+            edits: Changes to the materials.
+            arrival: What of a light arrives at them (`Avatar.arrival`), where it is known by now; else
+                `Avatar.shade` may still blend it in.
+        """
         moved = motion.gaussians
         surface = self.surface(motion, edits=edits)
-        return render_gbuffer(
-            moved.means, moved.quaternions, moved.scales, self.gaussians.opacities, surface, camera
-        )
+        if arrival is not None:
+            surface = replace(surface, **light_channels(arrival))
+        geometry = (moved.means, moved.quaternions, moved.scales, self.gaussians.opacities)
+        return render_gbuffer(*geometry, surface, camera, lit=arrival is not None)
 
     def render(
         self,
@@ -231,15 +247,15 @@ class Avatar(nn.Module):
         device = self.gaussians.means.device
         camera = camera.to(device)
         motion = self.move(parameters.to(device))
-        gbuffer = self.rasterize(motion, camera, edits=edits)
         light = self.light() if environment is None else environment.to(device)
         if isinstance(light, Environment):
             light = light.filtered()
         if isinstance(background, torch.Tensor):
             background = background.to(device)
         casts = shadows and (self.settings.visibility or environment is not None)
-        occlusion = self.occluder.occlude(motion.head) if casts else None
-        return self.shade(motion, gbuffer, camera, light, background=background, occlusion=occlusion)
+        arrival = self.arrival(self.occluder.occlude(motion.head), light, camera) if casts else None
+        gbuffer = self.rasterize(motion, camera, edits=edits, arrival=arrival)
+        return self.shade(motion, gbuffer, camera, light, background=background)
 
     def shade(
         self,
@@ -254,7 +270,7 @@ class Avatar(nn.Module):
         """Deferred shading and compositing of a G-buffer (Eqs. response_shading to alpha_compose).
 
         Arguments as for `render`, but on the avatar's device; ``occlusion`` is that of the motion's head
-        (`Avatar.occluder`), and without it nothing blocks the light.
+        (`Avatar.occluder`), for a G-buffer that was made without what arrives of this light.
 
         Raises:
             UserError: The background is of another shape or dtype, or on another device.

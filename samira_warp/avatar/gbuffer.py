@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -13,7 +13,7 @@ from samira_warp.kernels.raster.rasterizer import ScreenSplats, blend_again, ras
 from samira_warp.kernels.shading.checks import check_surface
 from samira_warp.support.constants import COVERED_ALPHA
 from samira_warp.support.validation import check_tensor
-from samira_warp.surface import CHANNELS, LIGHT_CHANNELS, SURFACE_CHANNELS, Surface
+from samira_warp.surface import CHANNELS, LIGHT_CHANNELS, LIGHT_WIDTH, SURFACE_CHANNELS, Surface
 
 
 class ScreenGaussians(NamedTuple):
@@ -52,6 +52,8 @@ def render_gbuffer(
     opacities: Tensor,
     surface: Surface,
     camera: Camera,
+    *,
+    lit: bool = False,
 ) -> GBuffer:
     """Blend world-space Gaussians into a G-buffer.
 
@@ -60,26 +62,31 @@ def render_gbuffer(
         quaternions: (N, 4) w, x, y, z.
         scales: (N, 3) metres.
         opacities: (N,).
-        surface: Channels (N, width) of the Gaussians; those of light are left for `blend_arrival`.
+        surface: Channels (N, width) of the Gaussians.
         camera: The view.
+        lit: Blend the channels of light as well; False leaves them neutral, for `blend_arrival`.
 
     Returns:
-        The blended sums divided by max(alpha, 1/255), directions renormalised; channels of light are neutral.
+        The blended sums divided by max(alpha, 1/255), directions renormalised; channels of light are 1 where
+        next to nothing covers a pixel.
 
     Raises:
         UserError: A wrong shape, dtype or device.
     """
     check_surface(surface, count=means.shape[0], device=means.device)
     depths = (means - camera.center) @ camera.world_to_camera[2, :3]
-    own = [getattr(surface, name) for name in SURFACE_CHANNELS]
-    features = torch.cat([*own, depths[:, None]], dim=1)
+    names = [*SURFACE_CHANNELS, *(LIGHT_CHANNELS if lit else ())]
+    features = torch.cat([*(getattr(surface, name) for name in names), depths[:, None]], dim=1)
     blended = rasterize(means, quaternions, scales, opacities, features, camera)
     if blended.means2d.requires_grad:
         blended.means2d.retain_grad()
     alpha = blended.alpha[..., None]
     straight = blended.features / alpha.clamp(min=COVERED_ALPHA)
-    *sums, depth = straight.split([*(CHANNELS[name].width for name in SURFACE_CHANNELS), 1], dim=-1)
-    means_of = dict(zip(SURFACE_CHANNELS, sums, strict=True))
+    *sums, depth = straight.split([*(CHANNELS[name].width for name in names), 1], dim=-1)
+    means_of = dict(zip(names, sums, strict=True))
+    if lit:
+        covered = alpha >= COVERED_ALPHA
+        means_of |= {name: torch.where(covered, means_of[name], 1.0) for name in LIGHT_CHANNELS}
     seen = Surface.of(**means_of).map(
         lambda mean: torch.nn.functional.normalize(mean, dim=-1), blend="direction"
     )
@@ -88,9 +95,10 @@ def render_gbuffer(
 
 
 def blend_arrival(gbuffer: GBuffer, arrival: Tensor) -> GBuffer:
-    """Blend what of a light arrives at the Gaussians into a G-buffer.
+    """Blend what of a light arrives at the Gaussians into a G-buffer that was made without it.
 
-    It is differentiable in ``arrival`` alone: shadows do not move Gaussians.
+    It is differentiable in ``arrival`` alone. Training has to blend it with the rest (`render_gbuffer`): a
+    Gaussian from the dark inside of the mouth that stands before the skin is seen by its darkness alone.
 
     Args:
         gbuffer: As the Gaussians were rasterised.
@@ -102,9 +110,14 @@ def blend_arrival(gbuffer: GBuffer, arrival: Tensor) -> GBuffer:
     Raises:
         UserError: A wrong shape, dtype or device.
     """
-    widths = [CHANNELS[name].width for name in LIGHT_CHANNELS]
-    check_tensor("arrival", arrival, shape=("N", sum(widths)), device=gbuffer.alpha.device)
+    check_tensor("arrival", arrival, shape=("N", LIGHT_WIDTH), device=gbuffer.alpha.device)
     alpha = gbuffer.alpha.detach()
     straight = blend_again(gbuffer.splats, arrival) / alpha.clamp(min=COVERED_ALPHA)
-    straight = torch.where(alpha >= COVERED_ALPHA, straight, 1.0)
-    return replace(gbuffer, **dict(zip(LIGHT_CHANNELS, straight.split(widths, dim=-1), strict=True)))
+    arrived: dict[str, Any] = {**light_channels(torch.where(alpha >= COVERED_ALPHA, straight, 1.0))}
+    return replace(gbuffer, **arrived)
+
+
+def light_channels(arrival: Tensor) -> dict[str, Tensor]:
+    """The channels of light by name of (..., C), where they lie side by side in the table's order."""
+    widths = [CHANNELS[name].width for name in LIGHT_CHANNELS]
+    return dict(zip(LIGHT_CHANNELS, arrival.split(widths, dim=-1), strict=True))

@@ -33,10 +33,12 @@ def measure(device: torch.device, *, preset: PresetName) -> dict[str, object]:
             light = avatar.light()
         with stopwatch.stage("motion"):
             motion = avatar.move(tracked.frame(0, parameters[0]))
+        with stopwatch.stage("arrival"):
+            arrival = avatar.arrival(occlusion.under(motion.head), light, camera)
         with stopwatch.stage("raster"):
-            gbuffer = avatar.rasterize(motion, camera)
+            gbuffer = avatar.rasterize(motion, camera, arrival=arrival)
         with stopwatch.stage("shading"):
-            rendering = avatar.shade(motion, gbuffer, camera, light, occlusion=occlusion.under(motion.head))
+            rendering = avatar.shade(motion, gbuffer, camera, light)
         with stopwatch.stage("loss"):
             terms = total_loss(rendering, target, avatar, weights, stage_two=True, perceptual=None)
             optimizer.zero_grad(set_to_none=True)

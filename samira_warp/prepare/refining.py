@@ -33,9 +33,9 @@ SCALE_ON, LAST = 0.4, 0.1
 """Of the rates below: where later frames begin, and where all end."""
 
 RATES = {"translation": 1.5e-3, "rotations": 5e-3, "expression": 4e-2}
-"""Adam's at the first step: metres, radians, coefficients. The first frame goes at most ten times as far, 15
-mm, 2.9 degrees, 0.4, and each that follows twice as far beyond that. The tracker errs most along the view: two
-parts in a hundred of the head's distance over a film of `ict_a`."""
+"""Adam's at the first step: metres, radians, coefficients. The first frame goes at most ten times as far,
+15 mm, 2.9 degrees, 0.4, and each that follows twice as far beyond that. The tracker errs most along the view:
+two parts in a hundred of the head's distance over a film of `ict_a`."""
 
 HOLD = {"translation": 0.006, "rotations": 0.02, "expression": 0.25}
 """How far the tracker is off, one standard deviation."""
@@ -129,10 +129,11 @@ class Painter(NamedTuple):
 
     def paint(self, parameters: FrameParameters, camera: Camera, occlusion: Occlusion | None) -> Tensor:
         """(H, W, 3) display values on white."""
-        motion = self.avatar.move(parameters)
-        gbuffer = self.avatar.rasterize(motion, camera)
-        casts = None if occlusion is None else occlusion.under(motion.head)
-        return self.avatar.shade(motion, gbuffer, camera, self.light, occlusion=casts).image
+        motion, arrival = self.avatar.move(parameters), None
+        if occlusion is not None:
+            arrival = self.avatar.arrival(occlusion.under(motion.head), self.light, camera)
+        gbuffer = self.avatar.rasterize(motion, camera, arrival=arrival)
+        return self.avatar.shade(motion, gbuffer, camera, self.light).image
 
 
 class Fitted(NamedTuple):

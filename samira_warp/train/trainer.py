@@ -128,11 +128,12 @@ class Trainer:
         """`Avatar.render` of a training frame under the learned light, with what was traced of it before."""
         avatar = self.avatar
         parameters = self.tracked.frame(row, frame.parameters.to(self.device))
-        motion = avatar.move(parameters)
-        gbuffer = avatar.rasterize(motion, camera)
-        casts = avatar.settings.visibility
-        occlusion = self.occlusions.of(row, parameters, motion.head) if casts else None
-        return avatar.shade(motion, gbuffer, camera, avatar.light(), occlusion=occlusion)
+        motion, light, arrival = avatar.move(parameters), avatar.light(), None
+        if avatar.settings.visibility:
+            occlusion = self.occlusions.of(row, parameters, motion.head)
+            arrival = avatar.arrival(occlusion, light, camera)
+        gbuffer = avatar.rasterize(motion, camera, arrival=arrival)
+        return avatar.shade(motion, gbuffer, camera, light)
 
     def _state(self) -> TrainingState:
         return TrainingState(
