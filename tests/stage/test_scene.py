@@ -40,7 +40,8 @@ def test_a_scene_is_the_avatar_before_the_light(scene, environment):
         assert torch.equal(found.image, expected.image)
         # for a single picture, what is behind it can be had without the rest
         assert torch.equal(scene.behind(view, turned), turned.background(FRAME.camera))
-    assert found.gbuffer is view.gbuffer
+    assert found.gbuffer.albedo is view.gbuffer.albedo
+    assert found.gbuffer.splats is view.gbuffer.splats
 
 
 def test_a_light_is_filtered_and_encoded_once(scene, environment, monkeypatch):
