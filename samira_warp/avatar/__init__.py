@@ -7,6 +7,7 @@ from samira_warp.avatar.driving import Driver, NameMap, PoseRange, match_express
 from samira_warp.avatar.editing import MaterialEdit as MaterialEdit  # public as samira_warp.MaterialEdit
 from samira_warp.avatar.gaussians import Gaussians
 from samira_warp.avatar.gbuffer import GBuffer
+from samira_warp.avatar.occlusion import Occluder, Occlusion
 from samira_warp.avatar.settings import AvatarSettings
 from samira_warp.avatar.storage import DrivingFrame, write_frames
 from samira_warp.avatar.storage import read_frames as read_frames  # public as samira_warp.read_frames
@@ -21,6 +22,8 @@ __all__ = [
     "Gaussians",
     "Motion",
     "NameMap",
+    "Occluder",
+    "Occlusion",
     "PoseRange",
     "Rendering",
     "conditions_of",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from numbers import Real
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -165,8 +165,17 @@ class Avatar(nn.Module):
         )
         return Motion(head, refined, *limit_residual(residual))
 
-    def surface(self, motion: Motion, *, edits: Sequence[MaterialEdit] = ()) -> Surface:
-        """Every channel of every Gaussian, in world space, the materials changed by ``edits``."""
+    def surface(
+        self,
+        motion: Motion,
+        *,
+        edits: Sequence[MaterialEdit] = (),
+        arrival: torch.Tensor | None = None,
+    ) -> Surface:
+        """Every channel of every Gaussian, in world space, the materials changed by ``edits``.
+
+        Channels of light are those of ``arrival`` (`Avatar.arrival`), or neutral.
+        """
         g = self.gaussians
         responses = self._responses() if self.settings.response else {}
         surface = Surface.of(
@@ -175,6 +184,7 @@ class Avatar(nn.Module):
             roughness=g.roughness[:, None],
             specular=g.specular[:, None],
             **responses,
+            **({} if arrival is None else light_channels(arrival)),
         )
         if not edits:
             return surface
@@ -212,9 +222,7 @@ class Avatar(nn.Module):
                 `Avatar.shade` may still blend it in.
         """
         moved = motion.gaussians
-        surface = self.surface(motion, edits=edits)
-        if arrival is not None:
-            surface = replace(surface, **light_channels(arrival))
+        surface = self.surface(motion, edits=edits, arrival=arrival)
         geometry = (moved.means, moved.quaternions, moved.scales, self.gaussians.opacities)
         return render_gbuffer(*geometry, surface, camera, lit=arrival is not None)
 

@@ -47,7 +47,8 @@ def frame_splats(avatar: Avatar, frame: DrivingFrame, light: FilteredLight | Non
 
 
 def _lit(avatar: Avatar, motion: Motion, camera: Camera, light: FilteredLight) -> Tensor:
-    """(N, 3) what a camera sees of every Gaussian, none of which hides another."""
+    """(N, 3) what a camera sees of every Gaussian, none of which hides another; the head casts shadows."""
     view = normalize(camera.center - motion.gaussians.means, dim=1)
-    shaded = shade(avatar.surface(motion), view, light, color_space=avatar.settings.color_space)
-    return shaded.image
+    arrival = avatar.arrival(avatar.occluder.occlude(motion.head), light, camera)
+    surface = avatar.surface(motion, arrival=arrival)
+    return shade(surface, view, light, color_space=avatar.settings.color_space).image
