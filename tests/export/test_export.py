@@ -74,19 +74,27 @@ def test_the_tool_writes_the_same_file(tiny_run, tmp_path):
 
 
 def test_under_a_white_furnace_a_splat_reflects_what_its_material_says(tiny_run, tmp_path, lights):
-    """E_d = E_s = 1 all around, exposed by a half: C = (tau_d a (1 - f) + tau_s (f B_x + B_y)) / 2."""
+    """E_d = E_s = 1 all around, exposed by a half: C = (tau_d a' (1 - f) + tau_s v_s (f B_x + B_y)) / 2.
+
+    a' = a v / (1 - a (1 - o)): of a uniform light arrives what the sky leaves open, v = o, and bounces.
+    """
     path = tmp_path / "lit.ply"
     light = ("--env", lights / "white.exr", "--exposure", 0.5)
     assert export("--avatar", tiny_run, "--frame", 2, "--out", path, *light) == 0
     avatar, frame = Avatar.load(tiny_run), read_frames(tiny_run)[2]
     with torch.no_grad():
         motion = avatar.move(frame.parameters)
-        surface = avatar.surface(motion)
+        environment = Environment.from_cubemaps(*(torch.ones(6, 16, 16, 3),) * 2)
+        occlusion = avatar.occluder.occlude(motion.head)
+        surface = avatar.surface(
+            motion, arrival=avatar.arrival(occlusion, environment.filtered(), frame.camera)
+        )
         towards = torch.nn.functional.normalize(frame.camera.center - motion.gaussians.means, dim=1)
         cosine = (surface.normal * towards).sum(dim=1, keepdim=True)
         scale, bias = lookup_brdf(brdf_table(torch.device("cpu")), surface.roughness, cosine)
-        diffuse = surface.response_diffuse * surface.albedo * (1 - surface.specular)
-        glossy = surface.response_specular * (surface.specular * scale + bias)
+        bounced = surface.albedo / (1 - surface.albedo * (1 - surface.ambient_occlusion))
+        diffuse = surface.response_diffuse * surface.visibility * bounced * (1 - surface.specular)
+        glossy = surface.response_specular * surface.visibility_specular * (surface.specular * scale + bias)
     # filtering keeps a uniform light to 1e-3, as the furnace of `bench light` shows
     torch.testing.assert_close(decode_srgb(colors(path)), 0.5 * (diffuse + glossy), rtol=2e-3, atol=1e-5)
 
