@@ -20,6 +20,7 @@ from samira_warp.avatar.residual import axis_angle_to_quaternion, limit_residual
 from samira_warp.avatar.response import response_factors, response_map
 from samira_warp.avatar.settings import AvatarSettings
 from samira_warp.avatar.storage import find_avatar, naming_misfits, read_avatar, write_avatar
+from samira_warp.avatar.uv_sampling import corner_table
 from samira_warp.geometry.camera import Camera
 from samira_warp.head import REGIONS, FrameParameters, PosedHead, UvAtlas
 from samira_warp.kernels.gathering.gather import GatherTable, bilinear_table, gather
@@ -129,7 +130,9 @@ class Avatar(nn.Module):
         size = self.settings.uv_size
         self.binding = FaceBinding.build(gaussians.faces, len(self.canonical.topology.faces))
         self.uv_samples: GatherTable = bilinear_table(gaussians.uv, width=size, height=size)
-        self.corners = corner_table(gaussians.uv, gaussians.faces, canonical=self.canonical)
+        self.corners = corner_table(
+            gaussians.uv, gaussians.faces, topology=self.canonical.topology, atlas=self.canonical.atlas
+        )
 
     def _apply(self, function: Callable[[torch.Tensor], torch.Tensor], recurse: bool = True) -> Avatar:
         """Move the constant tables along with the parameters (torch's hook behind ``to``)."""
@@ -360,29 +363,6 @@ class Avatar(nn.Module):
             )
             avatar.load_state_dict(stored.state)
         return avatar.to(device)
-
-
-def corner_table(uv: torch.Tensor, faces: torch.Tensor, *, canonical: CanonicalHead) -> GatherTable:
-    """The map from values of vertices to Gaussians: barycentric, where the atlas has them on their faces.
-
-    Args:
-        uv: (N, 2) places in the atlas.
-        faces: (N,) int32 faces.
-        canonical: The head.
-    """
-    atlas = canonical.atlas
-    corners = atlas.vt[atlas.ft[faces.long()].long()].double()
-    edges = (corners[:, 1:] - corners[:, :1]).mT
-    area = torch.linalg.det(edges)
-    place = (uv.detach().double() - corners[:, 0])[..., None]
-    flat = area.abs() <= 1e-12
-    edges = torch.where(flat[:, None, None], torch.eye(2, dtype=edges.dtype, device=edges.device), edges)
-    second_third = torch.linalg.solve(edges, place)[..., 0]
-    weights = torch.cat([1.0 - second_third.sum(dim=1, keepdim=True), second_third], dim=1).clamp(0.0, 1.0)
-    weights = torch.where(flat[:, None], 1.0, weights)
-    weights = weights / weights.sum(dim=1, keepdim=True)
-    vertices = canonical.topology.faces[faces.long()]
-    return GatherTable.build(vertices, weights.float(), sources=canonical.topology.vertex_count)
 
 
 def conditions_of(parameters: FrameParameters) -> Conditions:
