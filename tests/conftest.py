@@ -1,6 +1,7 @@
 """Fixtures: the devices of this machine, the real subject, and a seeded generator."""
 
 import os
+import shutil
 from pathlib import Path
 
 os.environ.setdefault("PYTHONHASHSEED", "0")
@@ -8,13 +9,51 @@ os.environ.setdefault("PYTHONHASHSEED", "0")
 import pytest
 import torch
 import warp
+from filelock import FileLock
 
 # tests read standard error: in this process nothing is said of compiling kernels
 warp.config.log_level = warp.LOG_WARNING
 
+WORKER = "PYTEST_XDIST_WORKER" in os.environ
+"""Whether this is one of several processes of pytest-xdist."""
+
 SUBJECT = Path(__file__).resolve().parents[2] / "shared" / "data" / "heads" / "ict_a"
 
+LONG_FILES = (
+    "test_own_tracker.py",
+    "test_readme.py",
+    "test_hard_films.py",
+    "test_prepare.py",
+    "test_resume.py",
+    "test_make.py",
+    "test_examples.py",
+    "test_command.py",
+    "test_blending_cuda.py",
+)
+"""What workers begin with, so that none is left with one of these at the end."""
+
 DEVICES = ["cpu", pytest.param("cuda", marks=pytest.mark.gpu)]
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_setupnodes():
+    """Workers that are about to start have one thread each, unless told otherwise."""
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_xdist_make_scheduler(config, log):
+    """Workers (``-n 2``) take whole files, whose tests share what is costly, in the order of collection."""
+    from xdist.scheduler import LoadFileScheduling
+
+    config.option.loadscopereorder = False
+    return LoadFileScheduling(config, log)
+
+
+def pytest_collection_modifyitems(items):
+    if WORKER:
+        ranks = {name: rank for rank, name in enumerate(LONG_FILES)}
+        items.sort(key=lambda item: ranks.get(item.path.name, len(ranks)))
 
 
 @pytest.fixture(params=DEVICES)
@@ -45,49 +84,79 @@ def subject():
 
 
 @pytest.fixture(scope="session")
-def tiny_dataset(tmp_path_factory):
-    """A made-up subject of six frames of 32 x 32 pixels, four of which train. Tests that change it copy it
-    first."""
-    from data.tiny import make_tiny_dataset
-
-    return make_tiny_dataset(tmp_path_factory.mktemp("tiny") / "subject")
-
-
-@pytest.fixture(scope="session")
-def tiny_run(tiny_dataset, tmp_path_factory):
-    """The finished run of `subjects.STEPS` steps on `tiny_dataset`."""
-    from subjects import train_arguments, train_command
-
-    folder = tmp_path_factory.mktemp("run") / "out"
-    assert train_command(*train_arguments(tiny_dataset, folder)) == 0
+def common_folder(tmp_path_factory):
+    """A folder of this session, the same in all of its workers where pytest-xdist runs several."""
+    own = tmp_path_factory.getbasetemp()
+    folder = (own.parent if WORKER else own) / "common"
+    folder.mkdir(exist_ok=True)
     return folder
 
 
 @pytest.fixture(scope="session")
-def built_in_datasets(tmp_path_factory):
+def made_once(common_folder):
+    """``made_once(name, make)`` is a folder that ``make`` has filled, in the first of the workers to ask."""
+
+    def made(name, make):
+        folder, whole = common_folder / name, common_folder / f"{name}.whole"
+        with FileLock(common_folder / f"{name}.lock"):
+            if not whole.exists():
+                shutil.rmtree(folder, ignore_errors=True)
+                make(folder)
+                whole.touch()
+        return folder
+
+    return made
+
+
+@pytest.fixture(scope="session")
+def tiny_dataset(made_once):
+    """A made-up subject of six frames of 32 x 32 pixels, four of which train. Tests that change it copy it
+    first."""
+    from data.tiny import make_tiny_dataset
+
+    return made_once("subject", make_tiny_dataset)
+
+
+def trained_on(dataset):
+    """Makes the finished run of `subjects.STEPS` steps on a dataset."""
+    from subjects import train_arguments, train_command
+
+    def make(folder):
+        assert train_command(*train_arguments(dataset, folder)) == 0
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def tiny_run(tiny_dataset, made_once):
+    """The finished run on `tiny_dataset`."""
+    return made_once("tiny run", trained_on(tiny_dataset))
+
+
+@pytest.fixture(scope="session")
+def built_in_datasets(made_once):
     """Folders of the built-in subject's film in every layout, by its name; the first five of eight frames of
     64 x 64 pixels train.
 
     Tests that change one copy it first.
     """
     from data.built_in import built_in_film, write_built_in
+    from data.layouts import WRITERS
 
-    return write_built_in(tmp_path_factory.mktemp("built in"), built_in_film(0))
+    folder = made_once("built in", lambda folder: write_built_in(folder, built_in_film(0)))
+    return {layout: folder / layout for layout in WRITERS}
 
 
 @pytest.fixture(scope="session")
-def built_in_run(built_in_datasets, tmp_path_factory):
-    """The finished run of `subjects.STEPS` steps on the built-in subject."""
-    from subjects import train_arguments, train_command
-
-    folder = tmp_path_factory.mktemp("run") / "out"
-    assert train_command(*train_arguments(built_in_datasets["VHAP export"], folder)) == 0
-    return folder
+def built_in_run(built_in_datasets, made_once):
+    """The finished run on the built-in subject."""
+    return made_once("built in run", trained_on(built_in_datasets["VHAP export"]))
 
 
 @pytest.fixture(scope="session", autouse=True)
-def _own_cache(tmp_path_factory):
-    """Tests keep nothing in the user's cache folder, nor find anything there."""
+def _own_cache(common_folder):
+    """Tests keep nothing in the user's cache folder, nor find anything there; processes that they start share
+    theirs."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("SAMIRA_WARP_CACHE", str(tmp_path_factory.mktemp("cache")))
+        patch.setenv("SAMIRA_WARP_CACHE", str(common_folder / "cache"))
         yield

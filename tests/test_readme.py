@@ -1,7 +1,8 @@
 """The README's commands, run as they are printed and in their order, by a newcomer with an empty home.
 
 The built-in subject that would be made in minutes is a smaller one of the same person, found in the cache,
-and the preset that would train in minutes is as small: the commands do not know.
+the preset that would train in minutes is as small, and other people are filmed with few rays: the commands do
+not know.
 """
 
 import json
@@ -45,10 +46,17 @@ def python_block():
 
 
 SMALLER = """
+import functools, sys
 from samira_warp.train.config import PRESETS, Preset
 PRESETS["cpu"] = Preset(
     resolution=64, uv_size=64, gaussians=3000, gaussian_cap=4000, width=8, region_width=4
 )
+if any(word.endswith("make_subject.py") for word in sys.orig_argv):
+    from samira_subject import plan
+    from samira_subject.raycaster import Effort
+    few = Effort(samples=4, lights=2, lobes=1, more=4, rounds=1)
+    plan.SubjectPlan = functools.partial(plan.SubjectPlan, effort=few)
+    plan.TEXELS = 128
 """
 """What Python runs before every program of the newcomer's."""
 

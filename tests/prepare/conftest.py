@@ -40,9 +40,9 @@ def track_networks():
 
 
 @pytest.fixture(scope="session")
-def taken(track_networks):
+def taken(track_networks, made_once):
     """A second of the built-in subject, 256 x 256, in which it blinks, and what is known of it."""
-    return films.take()
+    return films.read_taken(made_once("taken", films.write_taken))
 
 
 @pytest.fixture(scope="session")

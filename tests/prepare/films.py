@@ -5,6 +5,7 @@ from fractions import Fraction
 
 import av
 import numpy as np
+import torch
 
 from samira_subject.cast import build_cast
 from samira_subject.gestures import BLINK
@@ -13,7 +14,7 @@ from samira_subject.performance import perform
 from samira_subject.raycaster import Effort
 from samira_subject.sky import CAPTURE
 from samira_subject.studio import Studio, developed
-from samira_warp.head import FrameParameters, Rig
+from samira_warp.head import FrameParameters, Rig, read_template, save_template
 
 SIZE = 256
 MOMENTS = range(27, 49)
@@ -24,6 +25,9 @@ RATE = 25
 BIAS = 2.2
 """Pixels of 256 by which landmarks of a head that is turned by 20 to 30 degrees lie beside their places, in
 the median and all the same way: the 4.4 of 512 that docs/heads.md has of other people's renders."""
+
+PARAMETERS = ("translation", "rotations", "expression")
+"""Names of a frame's."""
 
 FEW_RAYS = Effort(samples=2, lights=1, lobes=1, more=2, rounds=1)
 LEFT, TOP, WIDTH, HEIGHT = 150, 34, 600, 290
@@ -54,6 +58,24 @@ class Taken:
         names = self.template.expression_names
         lids = [number for number, name in enumerate(names) if name.startswith(BLINK)]
         return self.parameters.expression[:, lids].mean(dim=1).numpy()
+
+
+def write_taken(folder):
+    """Film some moments of the performance, and write all of it into a new folder."""
+    folder.mkdir()
+    taken = take()
+    save_template(taken.template, folder / "template.npz")
+    frames = {name: getattr(taken.parameters, name).numpy() for name in PARAMETERS}
+    np.savez(
+        folder / "film.npz", pictures=taken.pictures, coverage=taken.coverage, pixels=taken.pixels, **frames
+    )
+
+
+def read_taken(folder):
+    with np.load(folder / "film.npz") as arrays:
+        frames = {name: torch.from_numpy(arrays[name]) for name in PARAMETERS}
+        seen = (arrays["pictures"], arrays["coverage"], arrays["pixels"])
+    return Taken(*seen, FrameParameters(**frames), read_template(folder / "template.npz"))
 
 
 def take():

@@ -155,7 +155,7 @@ def test_learned_light_is_the_default_and_exposure_one_changes_nothing(everythin
     np.testing.assert_array_equal(first(tmp_path), first(everything))
 
 
-def test_an_environment_relights(everything, tiny_run, tmp_path, light):
+def test_an_environment_relights(everything, tiny_run, tmp_path, light, small_environments):
     assert (
         render(
             "--avatar",

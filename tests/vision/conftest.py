@@ -29,8 +29,8 @@ def segmentation():
 
 
 @pytest.fixture(scope="session")
-def portraits():
+def portraits(made_once):
     """The built-in subject's head, by frame of its performance."""
-    from portraits import portraits
+    from portraits import read_portraits, write_portraits
 
-    return portraits()
+    return read_portraits(made_once("portraits", write_portraits))

@@ -1,7 +1,6 @@
 """Pictures of the built-in subject's head by its own ray caster, large enough for networks to see a face."""
 
-import functools
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 from PIL import Image
@@ -34,8 +33,23 @@ class Portrait:
     corneas: np.ndarray
 
 
-@functools.cache
-def portraits():
+def write_portraits(folder):
+    """Into a new folder, a file for each frame."""
+    folder.mkdir()
+    for frame, portrait in take_portraits().items():
+        np.savez(folder / f"{frame}.npz", **asdict(portrait))
+
+
+def read_portraits(folder):
+    """By frame."""
+    portraits = {}
+    for frame in OPEN + CLOSED:
+        with np.load(folder / f"{frame}.npz") as arrays:
+            portraits[frame] = Portrait(**arrays)
+    return portraits
+
+
+def take_portraits():
     """By frame."""
     cast = build_cast(0, texels=512)
     played = perform(cast.template.expression_names, train=160, test=40, seed=0)
