@@ -52,7 +52,7 @@ def test_between_short_and_long_runs_rates_are_log_interpolated():
 
 def test_the_papers_rates_and_the_designs():
     assert RATES["network"].long == (1e-4, 1e-5)
-    assert RATES["light"].short == (1e-2, 1e-3)
+    assert RATES["light"].short == (6e-2, 6e-3)
     assert RATES["means"].short == (5e-3, 5e-5)
     assert [RATES[name].short[0] for name in ("log_scales", "quaternions", "opacity_logits")] == [
         0.017,
@@ -116,7 +116,7 @@ def test_a_finished_run_that_is_extended_by_little_has_no_more_density_control()
     later = range(3_000, 4_000)
     assert not any(schedule.density_window(step) or schedule.density_event(step) for step in later)
     # rates rise to those of a run of the new length, and fall to the same ends
-    for group, first in (("network", 2e-3), ("light", 1e-2)):
+    for group, first in (("network", 2e-3), ("light", 6e-2)):
         rates = [learning_rate(group, step=step, steps=schedule.steps) for step in (3_000, 4_000)]
         assert rates[1] < rates[0] < 0.25 * first
         assert rates[1] == pytest.approx(RATES[group].short[1])
