@@ -11,6 +11,7 @@ from samira_warp.bench.memory import peak_bytes
 from samira_warp.bench.subject import make_avatar, make_camera, make_parameters
 from samira_warp.kernels.raster.projection import project
 from samira_warp.kernels.raster.tiles import TILE, bin_tiles
+from samira_warp.surface import SURFACE_CHANNELS
 
 TINY = raster.Sweep((500,), (40,), (3, raster.GBUFFER_CHANNELS), (1, 2))
 MEGABYTE = 2**20
@@ -137,7 +138,7 @@ def test_the_gbuffers_channels_are_counted_right():
     subject = make_avatar("cpu", device="cpu")
     motion = subject.move(make_parameters(0))
     surface = subject.surface(motion).channels()
-    assert sum(values.shape[1] for values in surface.values()) + 1 == raster.GBUFFER_CHANNELS
+    assert sum(surface[name].shape[1] for name in SURFACE_CHANNELS) + 1 == raster.GBUFFER_CHANNELS
     assert subject.rasterize(motion, make_camera(16)).depth.shape[2] == 1
 
 
