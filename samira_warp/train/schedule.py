@@ -52,9 +52,9 @@ network and light.
 GaussianAvatars' rates of tracking are for an Adam that moves all frames at every step, ten times as far as
 the rate says; rows rest here while their frame is not shown, and their rates are ten times as high.
 
-In short runs the light moves fast enough to become a lamp: softplus is linear where light is bright, a lamp of
-ten degrees has a radiance of tens, and at a sixth of the rate a thousand steps ended before one was found, so
-that its shadows were painted into normals and albedo (docs/relighting.md).
+In short runs the light moves fast enough to become a lamp: softplus is linear where light is bright, a lamp
+of ten degrees has a radiance of tens, and at a sixth of the rate a thousand steps ended before one was found,
+so that its shadows were painted into normals and albedo (docs/relighting.md).
 
 In short runs, rigid tracking moves faster, so that its noise is out of the way before the network learns, and
 expressions move slower, so that what repeats with an expression is left to the network instead of being tuned
