@@ -8,7 +8,6 @@ from samira_warp.head.flame import read_flame
 from samira_warp.head.gnm import is_gnm, read_gnm
 from samira_warp.head.ict import is_ict, read_ict
 from samira_warp.head.template import HeadTemplate, read_template
-from samira_warp.head.uv_layout import with_one_atlas
 from samira_warp.io.npz import names_of
 from samira_warp.support.errors import UserError
 
@@ -19,8 +18,7 @@ def read_head(path: str | Path) -> HeadTemplate:
     """Read a head model of any kind.
 
     A template of this project (`read_template`), FLAME with what is beside it (`read_flame`), GNM Head
-    (`read_gnm`), or the folder of ICT-FaceKit's light model (`read_ict`). UV coordinates that are no atlas
-    are packed anew (`uv_layout.with_one_atlas`).
+    (`read_gnm`), or the folder of ICT-FaceKit's light model (`read_ict`).
 
     Raises:
         UserError: It is none of them, or as in those.
@@ -31,13 +29,13 @@ def read_head(path: str | Path) -> HeadTemplate:
             return read_ict(path)
         raise UserError(path, expected=KNOWN, found="another folder")
     if path.suffix.lower() != ".npz":
-        return with_one_atlas(read_flame(path))
+        return read_flame(path)
     if not path.is_file():
         raise UserError(path, expected=KNOWN, found="no such file")
     names = names_of(path)
     if "n_shape" in names:
-        return with_one_atlas(read_template(path))
-    return read_gnm(path) if is_gnm(names) else with_one_atlas(read_flame(path))
+        return read_template(path)
+    return read_gnm(path) if is_gnm(names) else read_flame(path)
 
 
 def missing_landmarks(template: HeadTemplate, path: str | Path) -> str | None:

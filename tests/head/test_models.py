@@ -1,7 +1,5 @@
 """`read_head`: which reader a path belongs to, and what is said where there is none."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 from data.tiny import tiny_template
@@ -12,23 +10,12 @@ from samira_warp.head.flame_companions import read_landmarks
 from samira_warp.head.landmarks import EMBEDDING_FILE, LandmarkEmbedding
 from samira_warp.head.models import missing_landmarks
 from samira_warp.head.template import read_template, save_template
-from samira_warp.head.uv_layout import uv_fault
 from samira_warp.support.errors import UserError
 
 
 def test_a_template_is_read_as_it_is(tmp_path):
     np.savez(tmp_path / "head.npz", **tiny_template())
     assert read_head(tmp_path / "head.npz").hash == read_template(tmp_path / "head.npz").hash
-
-
-def test_a_template_whose_charts_lie_over_each_other_is_packed_anew(tmp_path):
-    template = build_template()
-    overlapping = dataclasses.replace(template, vt=np.abs(2.0 * template.vt - 1.0))
-    assert uv_fault(overlapping.vt, overlapping.ft) is not None
-    save_template(overlapping, tmp_path / "head.npz")
-    found = read_head(tmp_path / "head.npz")
-    assert uv_fault(found.vt, found.ft) is None
-    assert np.array_equal(found.faces, template.faces)
 
 
 @pytest.mark.parametrize("name", ["nowhere.npz", "nowhere.pkl", "nowhere"])
