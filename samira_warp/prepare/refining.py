@@ -29,15 +29,15 @@ RESOLUTION = 192
 STEPS, STEPS_ON = 24, 8
 """For the first frame, and for those that begin where the one before has ended."""
 
-SCALE_ON, LAST = 0.4, 0.1
+SCALE_ON, LAST = 0.4, 0.03
 """Of the rates below: where later frames begin, and where all end."""
 
-RATES = {"translation": 1.5e-3, "rotations": 5e-3, "expression": 4e-2}
+RATES = {"translation": 1.5e-3, "rotations": 3e-3, "expression": 2e-2}
 """Adam's at the first step: metres, radians, coefficients. The first frame goes at most ten times as far,
-15 mm, 2.9 degrees, 0.4, and each that follows twice as far beyond that. The tracker errs most along the view:
+15 mm, 1.7 degrees, 0.2, and each that follows twice as far beyond that. The tracker errs most along the view:
 two parts in a hundred of the head's distance over a film of `ict_a`."""
 
-HOLD = {"translation": 0.006, "rotations": 0.02, "expression": 0.25}
+HOLD = {"translation": 0.006, "rotations": 0.01, "expression": 0.1}
 """How far the tracker is off, one standard deviation."""
 
 HOLD_WEIGHT = 2e-4
