@@ -75,7 +75,7 @@ def main(config: TableConfig) -> None:
     rows, caster = [], ShadowCaster.of(sequence)
     for light in read_lights(config.data):
         filtered = light.environment.filtered()
-        predictions = {
+        predictions: dict[str, AvatarPrediction | OraclePrediction] = {
             "avatar": AvatarPrediction(avatar, filtered, config.shadows == "on"),
             "oracle": OraclePrediction(config.data, filtered, None),
             "oracle in shadow": OraclePrediction(config.data, filtered, caster),
@@ -158,7 +158,7 @@ class AvatarPrediction(NamedTuple):
 
     avatar: Avatar
     light: FilteredLight
-    shadows: bool
+    shadows: bool = True
 
     def __call__(self, frame: Frame, camera: Camera, mask: Tensor) -> Tensor:
         """(H, W, 3) display values on white."""

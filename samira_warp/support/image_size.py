@@ -9,12 +9,12 @@ from samira_warp.support.errors import UserError
 LARGEST_SIDE = 8192
 """Pixels along a rendered picture's longer side.
 
-Its G-buffer is 3 GiB there, and shading makes several times as much of it. H.264's largest pictures end there
-too (level 6.2), and float32 still places a Gaussian to a thousandth of a pixel.
+Its G-buffer is 4.25 GiB there, and shading makes several times as much of it. H.264's largest pictures end
+there too (level 6.2), and float32 still places a Gaussian to a thousandth of a pixel.
 """
 
-GBUFFER_BYTES = 48
-"""Bytes of a pixel's G-buffer: float32 of the surface's ten numbers, of depth and of coverage."""
+GBUFFER_BYTES = 68
+"""Bytes of a pixel's G-buffer: float32 of the surface's ten numbers, the light's five, depth and coverage."""
 
 
 def check_side(name: str, pixels: int) -> None:

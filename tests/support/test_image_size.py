@@ -11,16 +11,20 @@ from samira_warp.prepare.config import PrepareConfig
 from samira_warp.render.config import RenderConfig
 from samira_warp.support.errors import UserError
 from samira_warp.support.image_size import GBUFFER_BYTES, LARGEST_SIDE, check_side, check_size
-from samira_warp.surface import SURFACE_WIDTH
+from samira_warp.surface import LIGHT_WIDTH, SURFACE_WIDTH
 from samira_warp.train.config import TrainConfig
 from samira_warp.train.settings import check_config
 
 
 def test_the_gbuffer_is_counted_as_it_is():
-    assert GBUFFER_BYTES == 4 * (SURFACE_WIDTH + 2)
+    assert GBUFFER_BYTES == 4 * (SURFACE_WIDTH + LIGHT_WIDTH + 2)
     with torch.no_grad():
         gbuffer = small_avatar().render(parameters(0), camera(32)).gbuffer
-    held = [getattr(gbuffer, field.name) for field in dataclasses.fields(gbuffer) if field.name != "screen"]
+    held = [
+        value
+        for field in dataclasses.fields(gbuffer)
+        if isinstance(value := getattr(gbuffer, field.name), torch.Tensor)
+    ]
     assert sum(tensor.numel() * tensor.element_size() for tensor in held) == GBUFFER_BYTES * 32 * 32
 
 
@@ -44,10 +48,10 @@ def test_the_largest_side_passes_and_the_next_is_refused():
 def test_an_option_says_what_was_asked_what_it_takes_and_how_far_one_may_go(option, check):
     with pytest.raises(UserError) as caught:
         check()
-    # 200,000^2 pixels of 48 bytes
+    # 200,000^2 pixels of 68 bytes
     assert str(caught.value) == (
         f"{option}: expected at most {LARGEST_SIDE} pixels along the longer side, "
-        "found 200000, whose G-buffer alone is 1,788 GiB"
+        "found 200000, whose G-buffer alone is 2,533 GiB"
     )
 
 
