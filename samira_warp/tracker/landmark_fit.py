@@ -81,20 +81,23 @@ class LandmarkModel:
             ids=torch.from_numpy(embedding.ids).long(),
         )
 
-    def terms(self, landmarks: Landmarks, view: View, *, scales: Tensor) -> list[Term]:
+    def terms(
+        self, landmarks: Landmarks, view: View, *, scales: Tensor, mesh_trust: float = 1.0
+    ) -> list[Term]:
         """What landmarks say.
 
         Args:
             landmarks: All `LANDMARKS` of them, in N frames.
             view: The camera.
             scales: (N,) pixels to a metre of the head.
+            mesh_trust: Factor on the weights of the face mesh's landmarks, not of irises and gaps.
         """
         term = LandmarkTerm(
             self.points,
             self.normals,
             landmarks.only(self.ids),
             view,
-            self._trust(),
+            self._trust(mesh_trust),
             _precision(scales),
         )
         return [term, *self._gaps(term, landmarks)]
@@ -103,9 +106,9 @@ class LandmarkModel:
         """(N, L) inverse variances of landmarks, per square pixel."""
         return landmarks.seen[:, self.ids] * self._trust() * _precision(scales)
 
-    def _trust(self) -> Tensor:
-        trust = torch.ones(LANDMARKS)
-        trust[list(OVAL)] = OVAL_TRUST
+    def _trust(self, of_mesh: float = 1.0) -> Tensor:
+        trust = torch.full((LANDMARKS,), of_mesh)
+        trust[list(OVAL)] *= OVAL_TRUST
         trust[MESH_LANDMARKS:] = IRIS_TRUST
         return trust[self.ids]
 

@@ -1,7 +1,8 @@
-"""Where on a head its colours are compared with the pictures."""
+"""Where on a head it is compared with the pictures."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
@@ -27,8 +28,8 @@ DENSITY = {
     "scalp": 0.15,
     "mouth": 0.0,
 }
-"""Points for an area, by region. Hair is no part of the head, and necks do not go with it; what is inside the
-mouth is seen too seldom to be known."""
+"""Points for an area where colours are compared, by region. Hair is no part of the head, and necks do not go
+with it; what is inside the mouth is seen too seldom to be known."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,12 +47,14 @@ class Samples:
     barycentrics: Tensor
 
     @classmethod
-    def build(cls, head: TrackedHead, *, count: int = SAMPLES, seed: int = 0) -> Samples:
-        """Scatter points over a head."""
+    def build(
+        cls, head: TrackedHead, *, count: int = SAMPLES, density: Mapping[str, float] = DENSITY, seed: int = 0
+    ) -> Samples:
+        """Scatter points over a head, so many for an area of each region."""
         generator = torch.Generator().manual_seed(seed)
-        density = torch.tensor([DENSITY[region] for region in REGIONS])
+        by_region = torch.tensor([density[region] for region in REGIONS])
         regions = torch.from_numpy(route_faces(head.template))
-        wanted = (face_areas(head.rig.v_template, head.faces) * density[regions]).double()
+        wanted = (face_areas(head.rig.v_template, head.faces) * by_region[regions]).double()
         cumulative = wanted.cumsum(dim=0)
         marks = (torch.arange(count) + torch.rand(1, generator=generator)).double() / count * cumulative[-1]
         chosen = torch.searchsorted(cumulative, marks).clamp(max=len(wanted) - 1)

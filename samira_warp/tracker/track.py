@@ -11,7 +11,6 @@ from torch import Tensor
 from samira_warp.head.parameters import FrameParameters
 from samira_warp.head.template import HeadTemplate
 from samira_warp.support.errors import UserError
-from samira_warp.tracker.color_fit import SIDE, fit_colors, know, observe
 from samira_warp.tracker.film import Film
 from samira_warp.tracker.kept_basis import kept_basis
 from samira_warp.tracker.landmark_fit import (
@@ -23,6 +22,7 @@ from samira_warp.tracker.landmark_fit import (
     landmark_errors,
 )
 from samira_warp.tracker.observed import Landmarks
+from samira_warp.tracker.pixel_fit import SIDE, fit_pixels, know, observe
 from samira_warp.tracker.priors import frame_terms
 from samira_warp.tracker.render_fit import KeyFrames, Rendered, refine_by_rendering
 from samira_warp.tracker.samples import Samples
@@ -32,6 +32,9 @@ from samira_warp.tracker.unknowns import Unknowns
 
 FUNCTIONS = 60
 """Smooth functions of the offset: waves of some 3 cm on the face."""
+
+MESH_TRUST = 0.25
+"""Of the face mesh's landmarks beside colours and outlines, which err less, and not with the head's turn."""
 
 RENDERED_FRAMES = 48
 """Frames that the subject is refined from by rendering, evenly over the film."""
@@ -93,10 +96,12 @@ def track(
     unknowns = fit_frames(model, landmarks, film.view, Started(unknowns, started.scales), rate=film.rate)
 
     def terms(rows: slice) -> list[Term]:
-        of_landmarks = model.terms(landmarks.rows(rows), film.view, scales=started.scales[rows])
+        of_landmarks = model.terms(
+            landmarks.rows(rows), film.view, scales=started.scales[rows], mesh_trust=MESH_TRUST
+        )
         return [*of_landmarks, *frame_terms(head, rate=film.rate)]
 
-    unknowns = fit_colors(head, unknowns, film, keys, terms, say=say)
+    unknowns = fit_pixels(head, unknowns, film, keys, terms, say=say)
     errors = landmark_errors(model, unknowns, landmarks, film.view)
     say(
         f"{len(unknowns.frames)} frames from pixels: {float(errors.nanmedian()):.2f} pixels off the landmarks"

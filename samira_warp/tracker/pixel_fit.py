@@ -1,4 +1,4 @@
-"""Every frame refined by colours: points of the surface look in it as they are known to look."""
+"""Every frame refined by pixels: the head looks as it is known to look, and ends where it is known to."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from samira_warp.tracker.appearance import Appearance, estimate
 from samira_warp.tracker.film import Film, halved
 from samira_warp.tracker.landmark_terms import chunks
 from samira_warp.tracker.observed import DISTANCE, View
+from samira_warp.tracker.outlines import OutlineFinder, Outlines, OutlineTerm, join, usual_distances
 from samira_warp.tracker.photometric import COLOR_SPREAD, PhotometricTerm, grid_of, planes, sample
 from samira_warp.tracker.samples import Samples
 from samira_warp.tracker.subject import TrackedHead
@@ -124,7 +125,7 @@ def know(seen: Seen) -> Known:
     return Known(appearance, (COLOR_SPREAD**2 + variance).sqrt())
 
 
-def fit_colors(
+def fit_pixels(
     head: TrackedHead,
     unknowns: Unknowns,
     film: Film,
@@ -139,32 +140,73 @@ def fit_colors(
         head: The head.
         unknowns: Where to begin.
         film: The pictures.
-        keys: (K,) frames that tell what the points look like.
+        keys: (K,) frames that tell what the points look like, and how far outlines are apart.
         terms: What else pulls at some frames: landmarks and what is known of heads.
         say: Told of progress.
     """
-    samples = Samples.build(head)
+    pixels = _Pixels(Samples.build(head), OutlineFinder.build(head, film.view))
     key_levels, key_mattes = _levels(film, keys)
     levels_of = lru_cache(maxsize=1)(lambda first, end: _levels(film, every[first:end]))
     every = torch.arange(len(unknowns.frames))
     for level, key_pictures in enumerate(key_levels):
         for _ in range(ROUNDS):
-            at_keys = unknowns.chosen(keys)
-            known = know(observe(head, samples, at_keys, key_pictures, key_mattes, film.view))
+            known = pixels.know(unknowns.chosen(keys), key_pictures, key_mattes)
 
-            def fit(rows: slice, begun: Unknowns, level: int = level, known: Known = known) -> Unknowns:
+            def fit(rows: slice, begun: Unknowns, level: int = level, known: KnownHead = known) -> Unknowns:
                 levels, mattes = levels_of(rows.start, rows.stop)
-                seen = observe(head, samples, begun, levels[level], mattes, film.view)
-                predicted = encode_srgb(known.appearance.shade(seen.normals))
-                colors = PhotometricTerm(
-                    samples.points, levels[level], film.view, predicted, seen.weights, known.spread
-                )
-                return minimise(begun, [*terms(rows), colors], steps=STEPS, hold_subject=True)[0]
+                pulls = pixels.terms(begun, levels[level], mattes, known)
+                return minimise(begun, [*terms(rows), *pulls], steps=STEPS, hold_subject=True)[0]
 
             moved = in_windows(unknowns, fit)
-            say(f"colours at {max(key_pictures.shape[1:3])} pixels")
+            say(f"pixels at {max(key_pictures.shape[1:3])} along the longer side")
             unknowns = moved
     return unknowns
+
+
+class KnownHead(NamedTuple):
+    """What is known of a head in pictures.
+
+    Attributes:
+        look: What points of its surface look like.
+        distances: (S,) pixels from its outline to the matte's, by point.
+    """
+
+    look: Known
+    distances: Tensor
+
+
+class _Pixels(NamedTuple):
+    """Where a head is compared with pictures and mattes."""
+
+    samples: Samples
+    finder: OutlineFinder
+
+    def know(self, unknowns: Unknowns, pictures: Tensor, mattes: Tensor) -> KnownHead:
+        """Learn from key frames."""
+        finder = self.finder
+        seen = observe(finder.head, self.samples, unknowns, pictures, mattes, finder.view)
+        return KnownHead(know(seen), usual_distances(self._outlines(unknowns, mattes)))
+
+    def terms(self, unknowns: Unknowns, pictures: Tensor, mattes: Tensor, known: KnownHead) -> list[Term]:
+        """What pulls at N frames."""
+        finder, look = self.finder, known.look
+        seen = observe(finder.head, self.samples, unknowns, pictures, mattes, finder.view)
+        predicted = encode_srgb(look.appearance.shade(seen.normals))
+        return [
+            PhotometricTerm(self.samples.points, pictures, finder.view, predicted, seen.weights, look.spread),
+            OutlineTerm(
+                finder.samples.points, finder.view, self._outlines(unknowns, mattes), known.distances
+            ),
+        ]
+
+    def _outlines(self, unknowns: Unknowns, mattes: Tensor) -> Outlines:
+        parts = [
+            self.finder.find(
+                posed_vertices(self.finder.head, unknowns, rows), mattes[rows], focal=unknowns.focal
+            )
+            for rows in chunks(len(unknowns.frames), BATCH)
+        ]
+        return join(parts)
 
 
 def _levels(film: Film, rows: Tensor) -> tuple[list[Tensor], Tensor]:
