@@ -1,8 +1,8 @@
 """The README's commands, run as they are printed and in their order, by a newcomer with an empty home.
 
 The built-in subject that would be made in minutes is a smaller one of the same person, found in the cache,
-the preset that would train in minutes is as small, and other people are filmed with few rays: the commands do
-not know.
+the preset that would train in minutes is as small, lights are cubes of 64 texels, and other people are filmed
+with few rays: the commands do not know.
 """
 
 import json
@@ -51,6 +51,9 @@ from samira_warp.train.config import PRESETS, Preset
 PRESETS["cpu"] = Preset(
     resolution=64, uv_size=64, gaussians=3000, gaussian_cap=4000, width=8, region_width=4
 )
+if "render" in sys.orig_argv:
+    from samira_warp.light import Environment
+    Environment.load = functools.partial(Environment.load, size=64)
 if any(word.endswith("make_subject.py") for word in sys.orig_argv):
     from samira_subject import plan
     from samira_subject.raycaster import Effort

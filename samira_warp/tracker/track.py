@@ -33,7 +33,7 @@ from samira_warp.tracker.unknowns import Unknowns
 FUNCTIONS = 60
 """Smooth functions of the offset: waves of some 3 cm on the face."""
 
-MESH_TRUST = 0.25
+MESH_TRUST = 0.5
 """Of the face mesh's landmarks beside colours and outlines, which err less, and not with the head's turn."""
 
 RENDERED_FRAMES = 48

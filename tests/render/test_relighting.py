@@ -142,19 +142,16 @@ def test_lamps_are_added_to_every_map_of_a_sheet(tiny_run, tmp_path, maps, rig):
         ('{"lamps": [{"kind": "directional", "direction": [0, 0, 1], "irradiance": NaN}]}', "irradiance"),
     ],
 )
-def test_a_rig_that_cannot_be_used_is_one_line_of_the_command(tiny_run, tmp_path, content, said):
+def test_a_rig_that_cannot_be_used_is_one_line_of_the_command(
+    tiny_run, tmp_path, monkeypatch, capfd, content, said
+):
+    monkeypatch.chdir(tmp_path)
     (tmp_path / "rig.json").write_text("\ufeff" + content, encoding="utf-8")
-    command = [sys.executable, "-m", "samira_warp.render", "--avatar", tiny_run, "--out", "out"]
-    done = subprocess.run(
-        [*map(str, command), "--lights", "rig.json"],
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-        cwd=tmp_path,
-    )
-    assert (done.returncode, done.stdout) == (2, "")
-    (line,) = done.stderr.splitlines()
+    capfd.readouterr()
+    assert render_command("--avatar", tiny_run, "--out", "out", "--lights", "rig.json") == 2
+    printed = capfd.readouterr()
+    assert printed.out == ""
+    (line,) = printed.err.splitlines()
     assert line.startswith("error: rig.json")
     assert said in line
     assert not (tmp_path / "out").exists()
