@@ -25,6 +25,9 @@ there."""
 EDGE = 1e-4
 """Barycentric coordinates above this lie within a face: neighbours share their edge's texels, and no more."""
 
+PAIRS = 2_000_000
+"""Texels that are asked of at once whether they lie in a face, 300 MB; at least one face's."""
+
 SIZE = 512
 """Texels across that charts are packed for."""
 
@@ -47,7 +50,11 @@ def uv_fault(vt: np.ndarray, ft: np.ndarray) -> str | None:
     used = vt[np.unique(ft)]
     if used.min() < -1e-6 or used.max() > 1.0 + 1e-6:
         return f"UV coordinates from {used.min():.2f} to {used.max():.2f}, outside of 0 to 1"
-    flat = np.abs(_doubled_areas(corners)) < 1e-12
+    doubled = np.abs(_doubled_areas(corners))
+    together = 0.5 * doubled.sum()
+    if together > 1.0 + SHARED:
+        return f"faces that cover the map {together:.1f} times over"
+    flat = doubled < 1e-12
     if flat.mean() > SHARED:
         return f"{flat.mean():.0%} of the faces without an area in UV"
     covers = _covers(corners[~flat])
@@ -138,10 +145,25 @@ def _doubled_areas(corners: np.ndarray) -> np.ndarray:
 def _covers(corners: np.ndarray) -> np.ndarray:
     """(PROBE * PROBE,) how many of (F, 3, 2) triangles hold each texel's centre in their inside."""
     texels = corners * PROBE - 0.5
-    low = np.ceil(texels.min(axis=1)).astype(np.int64)
-    sizes = np.maximum(np.floor(texels.max(axis=1)).astype(np.int64) - low + 1, 0)
+    low = np.ceil(texels.min(axis=1)).clip(0, PROBE).astype(np.int64)
+    high = np.floor(texels.max(axis=1)).clip(-1, PROBE - 1).astype(np.int64)
+    sizes = np.maximum(high - low + 1, 0)
+    covers = np.zeros(PROBE * PROBE, np.int64)
+    ends = np.cumsum(sizes.prod(axis=1))
+    first = 0
+    while first < len(corners):
+        before = ends[first - 1] if first else 0
+        last = max(int(np.searchsorted(ends, before + PAIRS, side="right")), first + 1)
+        some = slice(first, last)
+        covers += np.bincount(_inside(texels[some], low[some], sizes[some]), minlength=PROBE * PROBE)
+        first = last
+    return covers
+
+
+def _inside(texels: np.ndarray, low: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+    """Texels, by number, whose centres lie in (f, 3, 2) triangles, of the boxes about these."""
     counts = sizes.prod(axis=1)
-    face = np.repeat(np.arange(len(corners)), counts)
+    face = np.repeat(np.arange(len(texels)), counts)
     number = np.arange(len(face)) - np.repeat(np.cumsum(counts) - counts, counts)
     column = low[face, 0] + number % np.maximum(sizes[face, 0], 1)
     row = low[face, 1] + number // np.maximum(sizes[face, 0], 1)
@@ -151,5 +173,4 @@ def _covers(corners: np.ndarray) -> np.ndarray:
     inside = np.ones(len(face), bool)
     for here, there in ((start, end), (end, last), (last, start)):
         inside &= _doubled_areas(np.stack([place, here, there], axis=1)) / doubled > EDGE
-    flat = (row * PROBE + column)[inside]
-    return np.bincount(flat[(flat >= 0) & (flat < PROBE * PROBE)], minlength=PROBE * PROBE)
+    return (row * PROBE + column)[inside]

@@ -20,6 +20,7 @@ from samira_warp.io.npz import read_npz
 from samira_warp.kernels.mesh.topology import MeshTopology
 from samira_warp.tracker.faces import landmarks_of
 from samira_warp.tracker.film import Film
+from samira_warp.tracker.kept import Kept
 from samira_warp.tracker.mesh_film import write_mesh_video
 from samira_warp.tracker.observed import View
 from samira_warp.tracker.plots import write_plots
@@ -81,7 +82,13 @@ class Fit:
 
 
 def track_film(
-    template: HeadTemplate, filmed: Filmed, faces: FaceTrack, folder: Path, *, say: Callable[[str], None]
+    template: HeadTemplate,
+    filmed: Filmed,
+    faces: FaceTrack,
+    folder: Path,
+    *,
+    kept: Path,
+    say: Callable[[str], None],
 ) -> None:
     """Track a film's head into a folder.
 
@@ -90,6 +97,7 @@ def track_film(
         filmed: The film.
         faces: What is seen in its N frames.
         folder: Where to; it exists, and is empty.
+        kept: Where parts of the fit are kept as they are done, to go on from.
         say: Told of progress.
 
     Raises:
@@ -97,7 +105,7 @@ def track_film(
         OSError: A file cannot be written.
     """
     film = Film(filmed.pictures, filmed.mattes, filmed.view, filmed.rate, filmed.focal)
-    tracking = track(template, film, landmarks_of(faces), say=say)
+    tracking = track(template, film, landmarks_of(faces), kept=Kept(kept), say=say)
     _save(tracking, folder / FIT_FILE)
     replace_file(folder / FACTS_FILE, json.dumps(_facts(filmed, tracking), indent=1))
     _draw(template, filmed, faces, tracking, folder)

@@ -13,6 +13,7 @@ when the option is left out.
 
 from __future__ import annotations
 
+import shutil
 import sys
 from collections.abc import Callable
 from dataclasses import asdict
@@ -27,6 +28,7 @@ from samira_warp.data.pictures import pictures_of
 from samira_warp.data.subjects import made_subject
 from samira_warp.head import HeadTemplate
 from samira_warp.head.models import missing_landmarks, read_head
+from samira_warp.head.uv_layout import with_one_atlas
 from samira_warp.io.files import replace_folder
 from samira_warp.io.images import image_size, write_png
 from samira_warp.prepare import albedo, matting, tracking
@@ -220,14 +222,18 @@ class _Preparation:
         stage = self._stage("tracking", mattes=mattes.key(), head=self._head.hash)
         folder = self.root / "tracking"
         if stage.done(folder / FIT_FILE) is None:
-            self._begin(stage, folder)
+            self._begin(stage, folder, stage.unfinished)
             filmed, faces, chosen = self._filmed(cropped, frames)
             for note in chosen.notes:
                 _say(note)
             if chosen.left_out:
                 _say(_left_out(chosen))
-            replace_folder(folder, lambda fresh: track_film(self._head, filmed, faces, fresh, say=_say))
+            replace_folder(
+                folder,
+                lambda fresh: track_film(self._head, filmed, faces, fresh, kept=stage.unfinished, say=_say),
+            )
             stage.finish({})
+            shutil.rmtree(stage.unfinished)
         return stage
 
     def export(self, tracked: Stage, cropped: Stage, frames: Stage) -> Stage:
@@ -318,10 +324,10 @@ class _Preparation:
 
     @cached_property
     def _head(self) -> HeadTemplate:
-        """The head model that is tracked.
+        """The head model that is tracked; its charts are packed anew where they lie over each other.
 
         Raises:
-            UserError: It cannot be read, or has no landmarks.
+            UserError: It cannot be read, has no landmarks, or cannot be unwrapped.
         """
         if self.config.head is None:
             return made_subject().head()
@@ -329,7 +335,7 @@ class _Preparation:
         missing = missing_landmarks(template, self.config.head)
         if missing is not None:
             raise UserError("--head", expected="a head with landmarks", found=missing)
-        return template
+        return with_one_atlas(template)
 
     def _filmed(self, cropped: Stage, frames: Stage) -> tuple[Filmed, FaceTrack, Chosen]:
         """The frames that are tracked, what is seen in them, and why others are left out."""

@@ -44,6 +44,11 @@ class Stage:
         """The file that says how far the stage is."""
         return self.root / MARKERS / f"{self.name}.json"
 
+    @property
+    def unfinished(self) -> Path:
+        """A folder for parts of what the stage makes, until it is finished."""
+        return self.root / MARKERS / self.name
+
     def done(self, *outputs: Path) -> dict[str, Any] | None:
         """What the stage found, if it was finished with these inputs and the outputs are still there."""
         record = self._record()

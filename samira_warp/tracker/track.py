@@ -12,6 +12,7 @@ from samira_warp.head.parameters import FrameParameters
 from samira_warp.head.template import HeadTemplate
 from samira_warp.support.errors import UserError
 from samira_warp.tracker.film import Film
+from samira_warp.tracker.kept import Kept
 from samira_warp.tracker.kept_basis import kept_basis
 from samira_warp.tracker.landmark_fit import (
     LandmarkModel,
@@ -66,7 +67,7 @@ class Tracking:
 
 
 def track(
-    template: HeadTemplate, film: Film, landmarks: Landmarks, *, say: Callable[[str], None]
+    template: HeadTemplate, film: Film, landmarks: Landmarks, *, kept: Kept, say: Callable[[str], None]
 ) -> Tracking:
     """Track a head.
 
@@ -74,10 +75,12 @@ def track(
         template: The head model, with landmarks on it.
         film: N frames.
         landmarks: All 478 landmarks in the N frames, at least one of them seen.
+        kept: Where parts of this fit are kept when they are done, and were.
         say: Told of progress, a line for each stage.
 
     Raises:
         UserError: The head has no landmarks, or a picture cannot be read.
+        OSError: A part cannot be kept.
     """
     if template.landmarks is None:
         raise UserError("head", expected="a head with landmarks (docs/heads.md says how)", found="none on it")
@@ -85,24 +88,12 @@ def track(
     head = TrackedHead.build(
         template, basis=basis.vectors[:, 1:], eigenvalues=basis.eigenvalues[1:] / basis.eigenvalues[1]
     )
-    model = LandmarkModel.build(head, template.landmarks)
-    started = fit_subject(model, landmarks, film.view, focal=film.focal, say=say)
-    unknowns = fit_frames(model, landmarks, film.view, started, rate=film.rate)
-    by_landmarks = landmark_errors(model, unknowns, landmarks, film.view)
-    say(f"{len(unknowns.frames)} frames from landmarks: {float(by_landmarks.nanmedian()):.2f} pixels off")
-    keys = key_frames(landmarks, RENDERED_FRAMES)
-    rendered = _refine_subject(model, unknowns, keys, film, landmarks, started.scales, say=say)
-    unknowns = replace(unknowns, subject=rendered.unknowns.subject)
-    unknowns = fit_frames(model, landmarks, film.view, Started(unknowns, started.scales), rate=film.rate)
-
-    def terms(rows: slice) -> list[Term]:
-        of_landmarks = model.terms(
-            landmarks.rows(rows), film.view, scales=started.scales[rows], mesh_trust=MESH_TRUST
-        )
-        return [*of_landmarks, *frame_terms(head, rate=film.rate)]
-
-    unknowns = fit_pixels(head, unknowns, film, keys, terms, say=say)
-    errors = landmark_errors(model, unknowns, landmarks, film.view)
+    fit = _Fit(LandmarkModel.build(head, template.landmarks), film, landmarks, say)
+    seen = kept("landmarks", fit.by_landmarks)
+    drawn = kept("rendering", lambda: fit.by_rendering(**seen))
+    at_landmarks = Unknowns(head.layout, seen["frames"], seen["subject"])
+    unknowns = fit.by_pixels(Unknowns(head.layout, drawn["frames"], drawn["subject"]), seen["scales"])
+    errors = fit.errors(unknowns)
     say(
         f"{len(unknowns.frames)} frames from pixels: {float(errors.nanmedian()):.2f} pixels off the landmarks"
     )
@@ -111,11 +102,65 @@ def track(
         shape=unknowns.shape.float(),
         static_offset=head.basis @ unknowns.offset.float(),
         focal=unknowns.focal,
-        albedo=rendered.albedo,
-        light=rendered.light,
+        albedo=drawn["albedo"],
+        light=drawn["light"],
         errors=errors,
-        by_landmarks=by_landmarks,
+        by_landmarks=fit.errors(at_landmarks),
     )
+
+
+@dataclass(frozen=True, eq=False)
+class _Fit:
+    """The stages, each of which says in tensors what it found."""
+
+    model: LandmarkModel
+    film: Film
+    landmarks: Landmarks
+    say: Callable[[str], None]
+
+    def by_landmarks(self) -> dict[str, Tensor]:
+        """Stages (a) and (b): frames (N, P), subject (Q,), and scales (N,) in pixels to a metre."""
+        film = self.film
+        started = fit_subject(self.model, self.landmarks, film.view, focal=film.focal, say=self.say)
+        unknowns = fit_frames(self.model, self.landmarks, film.view, started, rate=film.rate)
+        off = float(self.errors(unknowns).nanmedian())
+        self.say(f"{len(unknowns.frames)} frames from landmarks: {off:.2f} pixels off")
+        return {"frames": unknowns.frames, "subject": unknowns.subject, "scales": started.scales}
+
+    def by_rendering(self, frames: Tensor, subject: Tensor, scales: Tensor) -> dict[str, Tensor]:
+        """Stage (c): subject, albedo (V, 3) and light (9, 3) by rendering; frames by landmarks again."""
+        unknowns = Unknowns(self.model.head.layout, frames, subject)
+        rendered = _refine_subject(
+            self.model, unknowns, self._keys(), self.film, self.landmarks, scales, say=self.say
+        )
+        moved = replace(unknowns, subject=rendered.unknowns.subject)
+        found = fit_frames(
+            self.model, self.landmarks, self.film.view, Started(moved, scales), rate=self.film.rate
+        )
+        return {
+            "frames": found.frames,
+            "subject": found.subject,
+            "albedo": rendered.albedo,
+            "light": rendered.light,
+        }
+
+    def by_pixels(self, unknowns: Unknowns, scales: Tensor) -> Unknowns:
+        """Stage (c) of the frames."""
+
+        def terms(rows: slice) -> list[Term]:
+            of_landmarks = self.model.terms(
+                self.landmarks.rows(rows), self.film.view, scales=scales[rows], mesh_trust=MESH_TRUST
+            )
+            return [*of_landmarks, *frame_terms(self.model.head, rate=self.film.rate)]
+
+        return fit_pixels(self.model.head, unknowns, self.film, self._keys(), terms, say=self.say)
+
+    def errors(self, unknowns: Unknowns) -> Tensor:
+        """(N, L) pixels."""
+        return landmark_errors(self.model, unknowns, self.landmarks, self.film.view)
+
+    def _keys(self) -> Tensor:
+        return key_frames(self.landmarks, RENDERED_FRAMES)
 
 
 def _refine_subject(

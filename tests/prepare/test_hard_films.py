@@ -20,7 +20,7 @@ def not_tracked(monkeypatch):
     """Ends a preparation where tracking begins; what would have been tracked."""
     asked = []
 
-    def end(template, filmed, faces, folder, *, say):
+    def end(template, filmed, faces, folder, *, kept, say):
         asked.append((filmed, faces))
         raise UserError("tracking", expected="to be asked for", found="this test")
 

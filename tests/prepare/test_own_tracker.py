@@ -1,5 +1,6 @@
 """From a video to a dataset by the package's own tracker, against what is known of who was filmed."""
 
+import dataclasses
 import json
 import shutil
 import time
@@ -8,17 +9,23 @@ import av
 import films
 import numpy as np
 import pytest
+import torch
 from data.damage import file_size_limit
+from safetensors.torch import load_file
 from subjects import train_arguments, train_command
 from test_prepare import command, interrupt, prepare, refusal, times, tree
 
+from samira_subject.head import build_template
 from samira_warp.check.report import check_dataset
 from samira_warp.data import open_sequence
 from samira_warp.data.landmarks import read_landmarks
-from samira_warp.head import Rig
+from samira_warp.head import Rig, save_template
+from samira_warp.head.uv_layout import uv_fault
 from samira_warp.io.images import read_image
-from samira_warp.prepare import own_tracking
+from samira_warp.prepare import own_tracking, run
 from samira_warp.prepare.own_tracking import FIT_FILE, read_fit
+from samira_warp.support.errors import UserError
+from samira_warp.tracker import track
 
 POINTS = 200
 FRAMES = len(films.MOMENTS)
@@ -201,6 +208,53 @@ def without(out, *stages):
         (out / "stages" / f"{stage}.json").unlink()
         shutil.rmtree(out / stage, ignore_errors=True)
     return out
+
+
+def test_a_head_whose_charts_lie_over_each_other_is_packed_anew(
+    prepared, film, tmp_path, monkeypatch, capsys
+):
+    template = build_template()
+    overlapping = dataclasses.replace(template, vt=np.abs(2.0 * template.vt - 1.0))
+    assert uv_fault(overlapping.vt, overlapping.ft) is not None
+    save_template(overlapping, tmp_path / "head.npz")
+    heads = []
+
+    def end(template, *arguments, **options):
+        heads.append(template)
+        raise UserError("tracking", expected="to be asked for", found="this test")
+
+    monkeypatch.setattr(run, "track_film", end)
+    out = without(shutil.copytree(prepared, tmp_path / "out"), "tracking", "dataset")
+    assert prepare(film, "--out", out, "--head", tmp_path / "head.npz") == 2
+    assert "this test" in capsys.readouterr().err
+    (head,) = heads
+    assert uv_fault(head.vt, head.ft) is None
+    assert np.array_equal(head.faces, template.faces)
+
+
+def test_a_tracking_goes_on_after_the_parts_that_are_done(prepared, taken, film, tmp_path, monkeypatch):
+    """What was found from landmarks and by rendering is not looked for again."""
+    out = without(shutil.copytree(prepared, tmp_path / "out"), "tracking", "dataset")
+
+    def end(*arguments, **options):
+        raise UserError("this part", expected="another time", found="none")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(track, "fit_pixels", end)
+        assert prepare(film, "--out", out) == 2
+    assert sorted(path.stem for path in (out / "stages" / "tracking").iterdir()) == ["landmarks", "rendering"]
+    assert not (out / "tracking").exists()
+    rendered = load_file(out / "stages" / "tracking" / "rendering.safetensors")
+    for part in ("fit_subject", "_refine_subject"):
+        monkeypatch.setattr(track, part, end)
+    assert prepare(film, "--out", out) == 0
+    assert not (out / "stages" / "tracking").exists()
+    found = read_fit(out / "tracking" / FIT_FILE)
+    assert torch.equal(found.albedo, rendered["albedo"])
+    assert found.focal == pytest.approx(float(rendered["subject"][-1].exp()), rel=1e-12)
+    face = taken.template.masks["face"][:: len(taken.template.masks["face"]) // POINTS]
+    apart = np.linalg.norm(tracked_pixels(out)[:, face] - taken.pixels[:, face], axis=-1)
+    assert np.median(apart) < films.BIAS
 
 
 def test_ctrl_c_while_tracking_leaves_nothing_half(prepared, film, tmp_path):
