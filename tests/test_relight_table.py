@@ -63,6 +63,26 @@ def test_a_row_for_each_light_with_the_oracle_beside_it(tiny_run, tiny_dataset, 
         } < set(row)
 
 
+def test_an_avatar_that_is_given_all_of_the_truth_is_the_oracle(
+    tiny_run, tiny_dataset, tool, tmp_path, capsys, monkeypatch
+):
+    data = with_truth(tiny_dataset, tmp_path / "data")
+    arguments = ["--avatar", str(tiny_run), "--data", str(data), "--resolution", "32", "--json"]
+    capsys.readouterr()
+    assert tool.run(tool.main, tool.TableConfig, program="relight_table", arguments=arguments) == 0
+    (even, _) = json.loads(capsys.readouterr().out)
+    monkeypatch.syspath_prepend(str(TOOL.parent))
+    swap = importlib.import_module("swap_channels")
+    arguments += ["--every", "1"]
+    assert tool.run(swap.main, swap.SwapConfig, program="swap_channels", arguments=arguments) == 0
+    rows = {row["given"]: row["even"] for row in json.loads(capsys.readouterr().out)}
+    assert list(rows) == list(swap.ROWS)
+    # the same arithmetic on float32, rounded to bytes
+    assert rows["as learned"] == pytest.approx(even["avatar PSNR"], abs=0.01)
+    assert rows["all of it"] == pytest.approx(even["oracle in shadow PSNR"], abs=0.01)
+    assert rows["as learned"] < rows["matte"] < rows["all of it"]
+
+
 def test_a_dataset_without_lights_is_named(tiny_run, tiny_dataset, tool, capsys):
     arguments = ["--avatar", str(tiny_run), "--data", str(tiny_dataset)]
     capsys.readouterr()

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -90,16 +90,18 @@ def main(config: TableConfig) -> None:
                 f"{who} with gain": score["psnr_gain"],
             }
         rows.append(row)
-    if config.json:
+    print_rows(rows, as_json=config.json)
+
+
+def print_rows(rows: Sequence[Mapping[str, str | float]], *, as_json: bool) -> None:
+    """Print rows with equal keys as one Markdown table, or as JSON."""
+    if as_json:
         print(json.dumps(rows))
         return
     print("| " + " | ".join(rows[0]) + " |\n|" + "---|" * len(rows[0]))
     for row in rows:
-        print(
-            "| "
-            + " | ".join(value if isinstance(value, str) else f"{value:.2f}" for value in row.values())
-            + " |"
-        )
+        cells = (value if isinstance(value, str) else f"{value:.2f}" for value in row.values())
+        print("| " + " | ".join(cells) + " |")
 
 
 def read_lights(data: Path) -> Iterator[Light]:
@@ -207,16 +209,10 @@ class OraclePrediction(NamedTuple):
 
     def __call__(self, frame: Frame, camera: Camera, mask: Tensor) -> Tensor:
         """(H, W, 3) display values on white."""
-        normal, albedo = (
-            at_size(read_image(self.data / "gt" / layer / f"{frame.name}.png", channels=3), camera.width)
-            for layer in ("normal", "albedo")
-        )
-        # the true albedo lies on white: at the matte's soft edge, take the white out again
-        albedo = ((albedo - (1.0 - mask[..., None])) / mask[..., None].clamp(min=MATTE_MIN)).clamp(0.0, 1.0)
-        normal = torch.nn.functional.normalize(2.0 * normal - 1.0, dim=-1).flatten(0, 1)
+        normal, albedo = (layer.flatten(0, 1) for layer in true_layers(self.data, frame, mask))
         ones = torch.ones(len(normal), 1)
         surface = Surface.of(
-            albedo=decode_srgb(albedo).flatten(0, 1),
+            albedo=albedo,
             normal=normal,
             roughness=INITIAL_ROUGHNESS * ones,
             specular=INITIAL_SPECULAR * ones,
@@ -224,6 +220,17 @@ class OraclePrediction(NamedTuple):
         )
         shaded = shade(surface, -camera.ray_directions().flatten(0, 1), self.light)
         return compose(shaded.color.unflatten(0, mask.shape), mask[..., None], 1.0)
+
+
+def true_layers(data: Path, frame: Frame, mask: Tensor) -> tuple[Tensor, Tensor]:
+    """(H, W, 3) unit normals and (H, W, 3) linear albedo of a frame, for its (H, W) matte."""
+    normal, albedo = (
+        at_size(read_image(data / "gt" / layer / f"{frame.name}.png", channels=3), mask.shape[1])
+        for layer in ("normal", "albedo")
+    )
+    # the true albedo lies on white: at the matte's soft edge, take the white out again
+    albedo = ((albedo - (1.0 - mask[..., None])) / mask[..., None].clamp(min=MATTE_MIN)).clamp(0.0, 1.0)
+    return torch.nn.functional.normalize(2.0 * normal - 1.0, dim=-1), decode_srgb(albedo)
 
 
 def at_size(image: np.ndarray, resolution: int) -> Tensor:
