@@ -97,7 +97,7 @@ def _intrinsics(sequence: TrackedSequence, views: list[View]) -> Iterator[Findin
 
 
 def _mesh(sequence: TrackedSequence, views: list[View]) -> Iterator[Finding]:
-    """A head in another unit than metres, or torn by parameters that belong to another template."""
+    """A head in another unit than metres, inside out, or torn by parameters of another template."""
     del views
     template = sequence.template
     mean = torch.from_numpy(template.v_template).double()
@@ -125,6 +125,15 @@ def _mesh(sequence: TrackedSequence, views: list[View]) -> Iterator[Finding]:
             )
             return
     faces = torch.from_numpy(template.faces).long()
+    if _volume(mean, faces) < 0.0:
+        yield Finding(
+            "fault",
+            str(sequence.template_path),
+            "faces whose corners run counter-clockwise where they are seen from outside",
+            "a head that is inside out: its normals point inwards, and it would lie in its own shadow",
+            "swap two corners of every face, in f and ft alike",
+        )
+        return
     before, after = ((points[faces] - points[faces.roll(1, 1)]).norm(dim=-1) for points in (mean, head))
     stretch = (after / before.clamp(min=1e-9)).flatten()
     torn = ((stretch > _STRETCHED) | (stretch < 1 / _STRETCHED)).double().mean()
@@ -138,6 +147,15 @@ def _mesh(sequence: TrackedSequence, views: list[View]) -> Iterator[Finding]:
             found,
             OTHER_FLAME,
         )
+
+
+def _volume(points: torch.Tensor, faces: torch.Tensor) -> float:
+    """Signed volume between (V, 3) vertices' centre and (F, 3) faces, positive where these look outwards.
+
+    A hole, as the neck's, leaves out the cone above it.
+    """
+    corners = (points - points[faces.unique()].mean(dim=0))[faces]
+    return float(torch.linalg.det(corners).sum()) / 6
 
 
 def _eyes_apart(template: HeadTemplate, points: torch.Tensor) -> float:

@@ -120,6 +120,10 @@ MISTAKES = {
     "a template four times as large": (
         template(**LARGE), "fault", "template.npz", "times too large", "divide lengths by",
     ),
+    "faces that look inwards": (
+        template(f=lambda f: f[:, ::-1].copy(), ft=lambda ft: ft[:, ::-1].copy()), "fault",
+        "template.npz", "inside out", "swap two corners",
+    ),
     "an identity of another model": (
         parameters(shape=lambda shape: np.array([80.0, 0.0], np.float32)), "fault", "flame_param",
         "times too large", "--flame",
