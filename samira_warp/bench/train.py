@@ -15,7 +15,7 @@ from samira_warp.train.optimizer import make_optimizer, set_rates
 from samira_warp.train.tracking import TrackedParameters
 
 
-def measure(device: torch.device, *, preset: PresetName) -> dict[str, object]:
+def measure(device: torch.device, *, preset: PresetName, shadows: bool) -> dict[str, object]:
     """Median milliseconds of a step in stage two, without LPIPS and without decoding images."""
     size = PRESETS[preset].resolution
     avatar, camera = make_avatar(preset, device=device), make_camera(size).to(device)
@@ -34,7 +34,7 @@ def measure(device: torch.device, *, preset: PresetName) -> dict[str, object]:
         with stopwatch.stage("motion"):
             motion = avatar.move(tracked.frame(0, parameters[0]))
         with stopwatch.stage("arrival"):
-            arrival = avatar.arrival(occlusion.under(motion.head), light, camera)
+            arrival = avatar.arrival(occlusion.under(motion.head), light, camera) if shadows else None
         with stopwatch.stage("raster"):
             gbuffer = avatar.rasterize(motion, camera, arrival=arrival)
         with stopwatch.stage("shading"):
@@ -52,14 +52,15 @@ def measure(device: torch.device, *, preset: PresetName) -> dict[str, object]:
             step()
 
     repeat(whole_step)
-    row = {"preset": preset, "size": size, "gaussians": len(avatar.gaussians)}
+    row = {"preset": preset, "size": size, "gaussians": len(avatar.gaussians), "shadows": shadows}
     return {**row, **{f"{name}_ms": value for name, value in stopwatch.medians().items()}}
 
 
 def main(device: str, json: bool) -> None:
-    """Measure the device's preset and print a table, or JSON rows."""
+    """Measure the device's preset, with shadows and without, and print a table, or JSON rows."""
     on = torch.device(device)
-    rows = [measure(on, preset="paper" if on.type == "cuda" else "cpu")]
+    preset: PresetName = "paper" if on.type == "cuda" else "cpu"
+    rows = [measure(on, preset=preset, shadows=shadows) for shadows in (True, False)]
     if json:
         print(json_format.dumps([{**row, "hardware": hardware(on)} for row in rows]))
         return
