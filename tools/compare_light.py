@@ -20,7 +20,13 @@ from relight_table import AvatarPrediction, at_size, matte_of, pairs, read_light
 from torch import Tensor
 
 from samira_warp.avatar import Avatar, DrivingFrame, read_frames
-from samira_warp.avatar.gaussians import INITIAL_ROUGHNESS, INITIAL_SPECULAR, ROUGHNESS_RANGE, SPECULAR_RANGE
+from samira_warp.avatar.gaussians import (
+    ROUGHNESS_RANGE,
+    SKIN_ROUGHNESS,
+    SKIN_SPECULAR,
+    SPECULAR_RANGE,
+    range_logits,
+)
 from samira_warp.avatar.storage import TEMPLATE_FILE, find_avatar, read_record
 from samira_warp.data import PixelCache, TrackedSequence, open_sequence
 from samira_warp.evaluate import evaluate_images
@@ -31,7 +37,7 @@ from samira_warp.light.color import ColorSpace
 from samira_warp.support.cli import run
 from samira_warp.support.errors import UserError
 from samira_warp.train.initialize import initial_albedo
-from samira_warp.train.losses import LossWeights, Target, linear_albedo, total_loss
+from samira_warp.train.losses import Known, LossWeights, Target, linear_albedo, total_loss
 from samira_warp.train.schedule import learning_rate
 from samira_warp.train.setup import PIXEL_CACHE_BYTES
 
@@ -159,8 +165,16 @@ def _fit(config: CompareConfig, variant: Variant, sequence: TrackedSequence, pix
         [{"params": values, "name": name} for name, values in groups.items()], lr=0.0, eps=1e-15, fused=True
     )
     weights = LossWeights(
-        response=variant.response_prior, normal_smoothness=0.0, normal_prior=0.0, residual=0.0, mask=0.0
+        response=variant.response_prior,
+        normal_smoothness=0.0,
+        normal_prior=0.0,
+        normal_contrast=0.0,
+        materials=0.0,
+        materials_contrast=0.0,
+        residual=0.0,
+        mask=0.0,
     )
+    known = Known.of(avatar)
     frames = {frame.name: frame for frame in read_frames(config.avatar) if frame.part == "train"}
     generator = torch.Generator().manual_seed(0)
     for step in range(config.steps):
@@ -168,9 +182,8 @@ def _fit(config: CompareConfig, variant: Variant, sequence: TrackedSequence, pix
         for group in optimizer.param_groups:
             group["lr"] = learning_rate(group["name"], step=step, steps=config.steps)
         optimizer.zero_grad(set_to_none=True)
-        _loss(
-            avatar, frames[sequence.frames[index].name], _target(pixels, index, variant), weights
-        ).backward()
+        frame, target = frames[sequence.frames[index].name], _target(pixels, index, variant)
+        _loss(avatar, frame, target, weights, known).backward()
         optimizer.step()
         _hold_ranges(avatar, variant)
     return avatar.requires_grad_(False)
@@ -189,8 +202,8 @@ def _start_over(avatar: Avatar, variant: Variant, sequence: TrackedSequence, pix
     gaussians = avatar.gaussians
     sampled = gather(albedo.flatten(0, 1).contiguous(), avatar.uv_samples)
     gaussians.albedo_logits.copy_(torch.logit(sampled.clamp(0.01, 0.99)))
-    _set_range(gaussians.roughness_logits, INITIAL_ROUGHNESS, ROUGHNESS_RANGE)
-    _set_range(gaussians.specular_logits, INITIAL_SPECULAR, SPECULAR_RANGE)
+    _set_range(gaussians.roughness_logits, SKIN_ROUGHNESS, ROUGHNESS_RANGE)
+    _set_range(gaussians.specular_logits, SKIN_SPECULAR, SPECULAR_RANGE)
     avatar.response_logits.zero_()
     avatar.light = LearnableLight(torch.ones(3), tied=variant.tied)
     for name in REFITTED:
@@ -200,12 +213,11 @@ def _start_over(avatar: Avatar, variant: Variant, sequence: TrackedSequence, pix
     return avatar
 
 
-def _loss(avatar: Avatar, frame: DrivingFrame, target: Target, weights: LossWeights) -> Tensor:
+def _loss(avatar: Avatar, frame: DrivingFrame, target: Target, weights: LossWeights, known: Known) -> Tensor:
     height, width = target.image.shape[:2]
     rendering = avatar.render(frame.parameters, frame.camera.resized(width=width, height=height))
-    return torch.stack(
-        list(total_loss(rendering, target, avatar, weights, stage_two=True, perceptual=None).values())
-    ).sum()
+    terms = total_loss(rendering, target, avatar, weights, known, stage_two=True, perceptual=None)
+    return torch.stack(list(terms.values())).sum()
 
 
 def _target(pixels: PixelCache, index: int, variant: Variant) -> Target:
@@ -213,7 +225,7 @@ def _target(pixels: PixelCache, index: int, variant: Variant) -> Target:
     albedo = (
         None if content.albedo is None else linear_albedo(content.albedo, color_space=variant.color_space)
     )
-    return Target(content.image, content.mask, albedo)
+    return Target(content.image, content.mask, albedo, content.image.new_ones(3))
 
 
 @torch.no_grad()
@@ -231,7 +243,7 @@ def _hold_ranges(avatar: Avatar, variant: Variant) -> None:
 
 @torch.no_grad()
 def _set_range(logits: Tensor, value: float, whole: tuple[float, float]) -> None:
-    logits.fill_(float(torch.logit(torch.tensor((value - whole[0]) / (whole[1] - whole[0])))))
+    logits.copy_(range_logits(torch.full_like(logits, value), whole))
 
 
 @torch.no_grad()

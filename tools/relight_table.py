@@ -24,7 +24,7 @@ from scipy.ndimage import distance_transform_edt
 from torch import Tensor
 
 from samira_warp.avatar import Avatar, CanonicalHead
-from samira_warp.avatar.gaussians import INITIAL_ROUGHNESS, INITIAL_SPECULAR
+from samira_warp.avatar.gaussians import SKIN_ROUGHNESS, SKIN_SPECULAR
 from samira_warp.avatar.occlusion import Occluder, gaussian_arrival
 from samira_warp.avatar.storage import find_avatar
 from samira_warp.data import Frame, TrackedSequence, open_sequence
@@ -185,7 +185,7 @@ class ShadowCaster(NamedTuple):
         """The channels of light of every pixel, (H W, width): the mesh's, or its nearest pixel's."""
         head = self.canonical.pose(frame.parameters)
         arrival = self.occluder.arrival(self.occluder.occlude(head), light, camera)
-        roughness = torch.full((len(arrival), 1), INITIAL_ROUGHNESS)
+        roughness = torch.full((len(arrival), 1), SKIN_ROUGHNESS)
         values = gaussian_arrival(arrival, roughness)
         seen = head.vertices @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
         focal, center = seen.new_tensor([camera.fx, camera.fy]), seen.new_tensor([camera.cx, camera.cy])
@@ -214,8 +214,8 @@ class OraclePrediction(NamedTuple):
         surface = Surface.of(
             albedo=albedo,
             normal=normal,
-            roughness=INITIAL_ROUGHNESS * ones,
-            specular=INITIAL_SPECULAR * ones,
+            roughness=SKIN_ROUGHNESS * ones,
+            specular=SKIN_SPECULAR * ones,
             **({} if self.caster is None else self.caster.channels(frame, camera, self.light)),
         )
         shaded = shade(surface, -camera.ray_directions().flatten(0, 1), self.light)

@@ -19,7 +19,7 @@ from relight_table import Light, ShadowCaster, at_size, matte_of, print_rows, re
 from torch import Tensor
 
 from samira_warp.avatar import Avatar
-from samira_warp.avatar.gaussians import INITIAL_ROUGHNESS, INITIAL_SPECULAR
+from samira_warp.avatar.gaussians import SKIN_ROUGHNESS, SKIN_SPECULAR
 from samira_warp.avatar.storage import find_avatar
 from samira_warp.data import Frame, TrackedSequence, open_sequence
 from samira_warp.evaluate.metrics import psnr
@@ -70,7 +70,7 @@ class Truth(NamedTuple):
 
 def _materials(own: Layers, truth: Truth) -> Layers:
     ones = torch.ones_like(own.alpha)
-    given = {"roughness": INITIAL_ROUGHNESS * ones, "specular": INITIAL_SPECULAR * ones}
+    given = {"roughness": SKIN_ROUGHNESS * ones, "specular": SKIN_SPECULAR * ones}
     return own._replace(channels=own.channels | given)
 
 

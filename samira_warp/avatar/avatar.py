@@ -148,6 +148,8 @@ class Avatar(nn.Module):
         frames = triangle_frames(head.vertices, self.canonical.topology)
         g = self.gaussians
         bound = bind(g.means, g.quaternions, g.scales, g.normals, self.binding, frames)
+        # variances add, and those of an isotropic filter do along any axes
+        bound = bound._replace(scales=(bound.scales.square() + self.settings.smoothing**2).sqrt())
         if not self.settings.residual:
             nothing = torch.zeros_like(self.canonical.positions)
             return Motion(head, bound, nothing, nothing)

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
+from samira_warp.geometry.camera import Camera
 from samira_warp.head import FrameParameters, HeadTemplate, PosedHead, Rig, UvAtlas
 from samira_warp.kernels.mesh.topology import MeshTopology
 
@@ -34,6 +35,12 @@ class CanonicalHead:
     static_offset: Tensor | None
     vertices: Tensor
     positions: Tensor
+
+    def sampling_interval(self, parameters: FrameParameters, camera: Camera) -> float:
+        """Metres between the points of the posed head that neighbouring pixels of a camera see."""
+        middle = self.pose(parameters).vertices.mean(dim=0)
+        depth = camera.world_to_camera[2, :3] @ middle + camera.world_to_camera[2, 3]
+        return float(depth) / max(camera.fx, camera.fy)
 
     @classmethod
     def build(

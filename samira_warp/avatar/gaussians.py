@@ -14,9 +14,11 @@ dielectric."""
 ROUGHNESS_RANGE = (ROUGHNESS_MIN, 1.0)
 """Eyes glint at the lower end."""
 
-INITIAL_ROUGHNESS = 0.5
-INITIAL_SPECULAR = 0.035
-"""Skin's reflectance; the roughness above is the middle of what skin shows."""
+SKIN_ROUGHNESS = 0.3**0.5
+"""Of a Beckmann slope of 0.3, as most faces were measured to have (`train.materials`)."""
+
+SKIN_SPECULAR = 0.028
+"""Reflectance of an index of refraction of 1.4."""
 
 
 class Gaussians(nn.Module):
@@ -112,17 +114,21 @@ class Gaussians(nn.Module):
         scales: Tensor,
         normals: Tensor,
         albedo: Tensor,
+        roughness: Tensor,
+        specular: Tensor,
         faces: Tensor,
         uv: Tensor,
         opacity: float,
     ) -> Gaussians:
-        """Gaussians of given geometry and albedo, with the initial materials and no rotation.
+        """Gaussians of given geometry and materials, with no rotation.
 
         Args:
             means: (N, 3) in the triangle's frame.
             scales: (N, 3) positive, in units of k.
             normals: (N, 3) unit, in the triangle's frame.
             albedo: (N, 3) linear.
+            roughness: (N,) within ROUGHNESS_RANGE.
+            specular: (N,) within SPECULAR_RANGE.
             faces: (N,) int32.
             uv: (N, 2).
             opacity: The common initial opacity.
@@ -137,12 +143,8 @@ class Gaussians(nn.Module):
                 "quaternions": identity,
                 "opacity_logits": torch.full((count,), _logit(opacity), device=means.device),
                 "albedo_logits": torch.logit(albedo.clamp(0.01, 0.99)),
-                "roughness_logits": torch.full(
-                    (count,), _range_logit(INITIAL_ROUGHNESS, ROUGHNESS_RANGE), device=means.device
-                ),
-                "specular_logits": torch.full(
-                    (count,), _range_logit(INITIAL_SPECULAR, SPECULAR_RANGE), device=means.device
-                ),
+                "roughness_logits": range_logits(roughness, ROUGHNESS_RANGE),
+                "specular_logits": range_logits(specular, SPECULAR_RANGE),
                 "normals": normals.clone(),
                 "initial_normals": normals,
                 "faces": faces,
@@ -151,9 +153,11 @@ class Gaussians(nn.Module):
         )
 
 
+def range_logits(values: Tensor, bounds: tuple[float, float]) -> Tensor:
+    """What `Gaussians` keeps of values within bounds; at most all but 1 % of the way to either."""
+    share = (values - bounds[0]) / (bounds[1] - bounds[0])
+    return torch.logit(share.clamp(0.01, 0.99))
+
+
 def _logit(value: float) -> float:
     return float(torch.logit(torch.tensor(value, dtype=torch.float64)))
-
-
-def _range_logit(value: float, bounds: tuple[float, float]) -> float:
-    return _logit((value - bounds[0]) / (bounds[1] - bounds[0]))

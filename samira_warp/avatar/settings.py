@@ -24,6 +24,8 @@ class AvatarSettings:
         tied_light: The learned light is one map for diffuse and specular light, instead of two.
         visibility: The head blocked its learned light while it was learned; False has painted the shadows
             that it cast into the rest.
+        smoothing: Standard deviation, metres, of the smoothing of every Gaussian in space: no detail is
+            finer than what training could see (Mip-Splatting's 3D filter).
     """
 
     uv_size: int = 256
@@ -35,3 +37,4 @@ class AvatarSettings:
     color_space: Literal["srgb", "raw"] = "srgb"
     tied_light: bool = False
     visibility: bool = True
+    smoothing: float = 0.0

@@ -326,12 +326,12 @@ class BlendInputs(NamedTuple):
 
 def _prepare(disc: Disc) -> tuple[Projection, TileBins]:
     projection = project(disc.means, disc.quaternions, disc.scales, disc.opacities, disc.camera)
-    bins = bin_tiles(projection, disc.opacities, width=disc.camera.width, height=disc.camera.height)
+    bins = bin_tiles(projection, width=disc.camera.width, height=disc.camera.height)
     return projection, bins
 
 
 def _blend_inputs(disc: Disc, projection: Projection, channels: int) -> BlendInputs:
-    return BlendInputs(projection.means2d, projection.conics, disc.opacities, disc.features(channels))
+    return BlendInputs(projection.means2d, projection.conics, projection.opacities, disc.features(channels))
 
 
 def _wanting_gradients(inputs: Inputs) -> Inputs:

@@ -10,7 +10,7 @@ from samira_warp.bench.subject import make_avatar, make_camera, make_parameters
 from samira_warp.bench.timing import Stopwatch, hardware, print_table, repeat
 from samira_warp.head import FrameParameters
 from samira_warp.train.config import PRESETS, PresetName
-from samira_warp.train.losses import LossWeights, Target, total_loss
+from samira_warp.train.losses import Known, LossWeights, Target, total_loss
 from samira_warp.train.optimizer import make_optimizer, set_rates
 from samira_warp.train.tracking import TrackedParameters
 
@@ -24,8 +24,8 @@ def measure(device: torch.device, *, preset: PresetName, shadows: bool) -> dict[
     optimizer = make_optimizer(avatar, tracked)
     set_rates(optimizer, step=1000, steps=3000)
     grey = torch.full((size, size, 3), 0.5, device=device)
-    target = Target(grey, torch.ones(size, size, device=device), grey)
-    stopwatch, weights = Stopwatch(device), LossWeights()
+    target = Target(grey, torch.ones(size, size, device=device), grey, torch.ones(3, device=device))
+    stopwatch, weights, known = Stopwatch(device), LossWeights(), Known.of(avatar)
     occlusion = avatar.occluder.occlude(avatar.canonical.pose(parameters[0]))
 
     def step() -> None:
@@ -40,7 +40,7 @@ def measure(device: torch.device, *, preset: PresetName, shadows: bool) -> dict[
         with stopwatch.stage("shading"):
             rendering = avatar.shade(motion, gbuffer, camera, light)
         with stopwatch.stage("loss"):
-            terms = total_loss(rendering, target, avatar, weights, stage_two=True, perceptual=None)
+            terms = total_loss(rendering, target, avatar, weights, known, stage_two=True, perceptual=None)
             optimizer.zero_grad(set_to_none=True)
         with stopwatch.stage("backward"):
             torch.stack(list(terms.values())).sum().backward()

@@ -11,9 +11,13 @@ TRANSMITTANCE_MIN = 1e-4
 """A pixel stops blending before its transmittance would fall below this: what lies behind is invisible
 (3DGS)."""
 
-LOW_PASS = 0.3
-"""Pixels squared added to the diagonal of the projected covariance so that every Gaussian covers about one
-pixel (EWA, 3DGS)."""
+LOW_PASS = 0.1
+"""Pixels squared added to the diagonal of the projected covariance: about the variance of a pixel's square,
+1/12, over which a picture is a mean (Mip-Splatting)."""
+
+SMOOTHING = 0.2
+"""Variance of the smoothing of every Gaussian in space, in squared distances of neighbouring pixels of the
+finest training picture: no detail of the model is finer than what training saw (Mip-Splatting)."""
 
 NEAR_PLANE = 0.01
 """Metres; closer centres are culled: the Jacobian of the projection diverges at the camera."""

@@ -94,7 +94,7 @@ def control_density(
     scale = gaussians.scales.amax(dim=1) * face_scales[gaussians.faces.long()]
     faint = _removable(gaussians, face_count=len(face_scales))
     wanted = _largest((gradient > GRADIENT_THRESHOLD) & ~faint, gradient, room=cap - int((~faint).sum()))
-    split = wanted & (scale > SPLIT_SPACING * _spacing(gaussians.faces.long(), face_areas).median())
+    split = wanted & (scale > SPLIT_SPACING * spacing(gaussians.faces.long(), face_areas).median())
     clone = wanted & ~split
     kept = (~faint & ~split).nonzero()[:, 0]
     parts = [
@@ -121,7 +121,7 @@ def _removable(gaussians: Gaussians, *, face_count: int) -> torch.Tensor:
     return (opacities < OPACITY_MIN) & (rank < highest[faces])
 
 
-def _spacing(faces: torch.Tensor, face_areas: torch.Tensor) -> torch.Tensor:
+def spacing(faces: torch.Tensor, face_areas: torch.Tensor) -> torch.Tensor:
     """(N,) metres between neighbours: each Gaussian's share of its face's area is a square of this side."""
     count = torch.bincount(faces, minlength=len(face_areas))
     return (face_areas / count.clamp(min=1)).sqrt()[faces]

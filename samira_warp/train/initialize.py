@@ -13,6 +13,7 @@ from samira_warp.head.unwrap import UnwrapView, unwrap
 from samira_warp.kernels.gathering.gather import bilinear_table, gather
 from samira_warp.kernels.mesh.triangle_frames import triangle_frames
 from samira_warp.nets import ConditionStatistics
+from samira_warp.train.materials import material_prior
 
 DENSE_GROUPS = ("left_eye_region", "right_eye_region", "lips")
 DENSE_FACTOR = 3.0
@@ -84,6 +85,23 @@ def _view(frame: Frame, canonical: CanonicalHead, image: torch.Tensor, mask: tor
     return UnwrapView(image, mask, vertices, frame.camera.resized(width=width, height=height))
 
 
+@torch.no_grad()
+def sampling_interval(sequence: TrackedSequence, canonical: CanonicalHead, *, resolution: int) -> float:
+    """Metres between the points of a head that neighbouring pixels of the finest training picture see.
+
+    Args:
+        sequence: The dataset, of which some frames are looked at, evenly spaced.
+        canonical: The subject's head.
+        resolution: Longer side of the training pictures, pixels.
+    """
+
+    def interval(frame: Frame) -> float:
+        camera = frame.camera.with_longer_side(resolution)
+        return canonical.sampling_interval(frame.parameters, camera)
+
+    return min(interval(sequence.frames[index]) for index in spread_out(sequence.train))
+
+
 def unwrap_views(views: list[UnwrapView], canonical: CanonicalHead) -> torch.Tensor:
     """(h, w, C) what views see of a subject, on its atlas: see `unwrap`."""
     return unwrap(views, atlas=canonical.atlas, vertices=canonical.vertices, faces=canonical.topology.faces)
@@ -144,12 +162,20 @@ def initial_gaussians(
     if not smooth_normals:
         normals = torch.zeros_like(normals)
         normals[:, 1] = 1.0
-    ids = face_ids.to(torch.int32)
+    ids, materials = face_ids.to(torch.int32), material_prior(canonical.template)
     uv = geometry_uv(means, ids, vertices=vertices, topology=canonical.topology, atlas=canonical.atlas)
     size = canonical.atlas.size
     colors = gather(albedo.flatten(0, 1).contiguous(), bilinear_table(uv, width=size, height=size))
     return Gaussians.start(
-        means=means, scales=scales, normals=normals, albedo=colors, faces=ids, uv=uv, opacity=opacity
+        means=means,
+        scales=scales,
+        normals=normals,
+        albedo=colors,
+        roughness=materials.roughness.to(means.device)[face_ids],
+        specular=materials.specular.to(means.device)[face_ids],
+        faces=ids,
+        uv=uv,
+        opacity=opacity,
     )
 
 

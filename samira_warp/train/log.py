@@ -16,6 +16,7 @@ from samira_warp.io.files import replace_file
 from samira_warp.io.images import write_png
 from samira_warp.light import Environment, encode_srgb
 from samira_warp.light.equirect import cube_to_equirect
+from samira_warp.train.losses import Target
 
 LOG_EVERY = 25
 """Steps between log lines: numbers are read back from the device only then."""
@@ -61,9 +62,9 @@ class RunLog:
         if step % LOG_EVERY == 0 or step == self._last:
             self._write(step, gaussians)
 
-    def preview(self, step: int, rendering: Rendering, truth: torch.Tensor, light: Environment) -> None:
+    def preview(self, step: int, rendering: Rendering, target: Target, light: Environment) -> None:
         """Write one preview grid: image | truth | albedo | normal | specular light | the light itself."""
-        grid = preview_grid(rendering, truth, light)
+        grid = preview_grid(rendering, target, light)
         write_png(self._previews / f"{step:06d}.png", grid)
         self._board.add_image("preview", grid, step, dataformats="HWC")
 
@@ -87,7 +88,7 @@ class RunLog:
         self._sums, self._count = {}, 0
 
 
-def preview_grid(rendering: Rendering, truth: torch.Tensor, light: Environment) -> np.ndarray:
+def preview_grid(rendering: Rendering, target: Target, light: Environment) -> np.ndarray:
     """Image | truth | albedo | normal | specular light, each on white, and `light_panel`.
 
     Returns:
@@ -95,7 +96,10 @@ def preview_grid(rendering: Rendering, truth: torch.Tensor, light: Environment) 
     """
     gbuffer = rendering.gbuffer
     alpha = gbuffer.alpha
-    panels = [rendering.image, truth]
+    # white behind both, whatever colour it was in this step
+    white, mask = 1.0 - target.background, target.mask
+    truth = target.image if mask is None else target.image + (1.0 - mask[..., None]) * white
+    panels = [rendering.image + (1.0 - alpha) * white, truth]
     panels += [
         alpha * panel + (1.0 - alpha)
         for panel in (rendering.albedo, 0.5 * (gbuffer.normal + 1.0), encode_srgb(rendering.specular_light))

@@ -13,6 +13,8 @@ from samira_warp.avatar import Avatar, Motion, Rendering
 from samira_warp.avatar.residual import POSITION_LIMIT
 from samira_warp.light import decode_srgb
 from samira_warp.train.config import Ablation
+from samira_warp.train.materials import MaterialPrior, material_prior, material_terms
+from samira_warp.train.neighbours import Neighbourhood, neighbourhood
 from samira_warp.train.skin import mean_skin, skin_prior
 
 SSIM_WINDOW = 11
@@ -48,6 +50,13 @@ class LossWeights:
     (docs/measurements.md)."""
     response: float = 1e-3
     """Prior on the squared response logits: (albedo / c, c tau) looks the same until the light changes."""
+    normal_contrast: float = 0.3
+    """Square of what a normal's turn from the mesh's own differs by from its neighbours' on the surface: what
+    the mesh creases stays creased, and what is between two pixels, or seen by none, does not swirl."""
+    materials: float = 0.02
+    """Square of what roughness and reflectance differ by from what was measured (`train.materials`)."""
+    materials_contrast: float = 0.1
+    """The same from their neighbours' on the surface."""
     skin: float = 0.1
     """Prior on skin's mean albedo where no pseudo-albedo says what it is (`train.skin`). Twice too bright
     costs a slope of 0.14 in its logarithm: more than the image's error weighs against it while the light
@@ -70,14 +79,37 @@ class Target(NamedTuple):
     """One training frame's pixels on the device.
 
     Attributes:
-        image: (H, W, 3) display values on white.
+        image: (H, W, 3) display values on the background.
         mask: (H, W) matte, 0..1, or None where the frame has none: nothing is said of coverage then.
         albedo: (H, W, 3) linear pseudo-albedo, or None; it wants a mask.
+        background: (3,) display values behind the head.
     """
 
     image: torch.Tensor
     mask: torch.Tensor | None
     albedo: torch.Tensor | None
+    background: torch.Tensor
+
+
+class Known(NamedTuple):
+    """What is known of a head before any picture of it.
+
+    Attributes:
+        materials: Roughness and reflectance.
+        neighbours: Which Gaussians are each other's neighbours on its surface.
+        skin: (F,) bool, faces of skin whose albedo is held to what was measured, or None where it is not.
+    """
+
+    materials: MaterialPrior
+    neighbours: Neighbourhood
+    skin: torch.Tensor | None
+
+    @classmethod
+    def of(cls, avatar: Avatar, *, skin: torch.Tensor | None = None) -> Known:
+        """What is known of an avatar's head, on its device."""
+        device, canonical = avatar.gaussians.means.device, avatar.canonical
+        materials = MaterialPrior(*(values.to(device) for values in material_prior(canonical.template)))
+        return cls(materials, neighbourhood(avatar.gaussians, canonical), skin)
 
 
 Perceptual = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
@@ -88,10 +120,10 @@ def total_loss(
     target: Target,
     avatar: Avatar,
     weights: LossWeights,
+    known: Known,
     *,
     stage_two: bool,
     perceptual: Perceptual | None,
-    skin: torch.Tensor | None = None,
 ) -> dict[str, torch.Tensor]:
     """Every weighted term by name; the objective is their sum.
 
@@ -100,9 +132,9 @@ def total_loss(
         target: The true one.
         avatar: Whose parameters are regularised.
         weights: The lambdas.
+        known: Of the avatar's head.
         stage_two: Normal and response terms are on.
         perceptual: LPIPS of two (H, W, 3) display images, or None when it is off.
-        skin: (F,) bool, faces of skin whose albedo is held to what was measured, or None where it is not.
     """
     prediction, truth = (image.permute(2, 0, 1)[None] for image in (rendering.image, target.image))
     terms = {
@@ -117,14 +149,19 @@ def total_loss(
         terms["lpips"] = weights.lpips * perceptual(rendering.image, target.image)
     if target.albedo is not None and target.mask is not None:
         terms["albedo"] = weights.albedo * albedo_loss(rendering.gbuffer.albedo, target.albedo, target.mask)
-    if skin is not None:
-        terms["skin"] = weights.skin * skin_prior(mean_skin(avatar.gaussians, skin))
+    if known.skin is not None:
+        terms["skin"] = weights.skin * skin_prior(mean_skin(avatar.gaussians, known.skin))
+    off, contrast = material_terms(avatar.gaussians, known.materials, known.neighbours)
+    terms["materials"] = weights.materials * off + weights.materials_contrast * contrast
     if stage_two:
         terms["normal_smoothness"] = weights.normal_smoothness * normal_smoothness(
             rendering.gbuffer.normal, rendering.gbuffer.alpha
         )
         terms["normal_prior"] = weights.normal_prior * normal_prior(
             avatar.gaussians.normals, avatar.gaussians.initial_normals
+        )
+        terms["normal_contrast"] = weights.normal_contrast * normal_contrast(
+            avatar.gaussians.normals, avatar.gaussians.initial_normals, known.neighbours
         )
         terms["response"] = weights.response * avatar.response_logits.square().mean()
     return terms
@@ -165,6 +202,18 @@ def normal_prior(normals: torch.Tensor, initial: torch.Tensor) -> torch.Tensor:
         initial: (N, 3) unit, what they started as.
     """
     return (1.0 - (torch.nn.functional.normalize(normals, dim=-1) * initial).sum(-1)).mean()
+
+
+def normal_contrast(normals: torch.Tensor, initial: torch.Tensor, neighbours: Neighbourhood) -> torch.Tensor:
+    """Mean square of what the change of a canonical normal differs by from its neighbours' mean change.
+
+    Args:
+        normals: (N, 3), normalised here.
+        initial: (N, 3) unit, what they started as.
+        neighbours: On the surface.
+    """
+    change = neighbours.rest_normals(normals) - neighbours.rest_normals(initial)
+    return neighbours.contrast(change).square().sum(dim=-1).mean()
 
 
 def albedo_loss(albedo: torch.Tensor, truth: torch.Tensor, mask: torch.Tensor) -> torch.Tensor:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import torch
@@ -11,6 +12,7 @@ from samira_warp.data import PixelCache, TrackedSequence
 from samira_warp.data.appearance import TrackedAppearance
 from samira_warp.light import LearnableLight, decode_srgb
 from samira_warp.nets import encode_reference
+from samira_warp.support.constants import SMOOTHING
 from samira_warp.train.appearance import initial_appearance
 from samira_warp.train.initialize import (
     choose_reference,
@@ -18,6 +20,7 @@ from samira_warp.train.initialize import (
     image_view,
     initial_albedo,
     initial_gaussians,
+    sampling_interval,
     unwrap_views,
 )
 from samira_warp.train.plan import TrainPlan
@@ -78,9 +81,10 @@ def start(plan: TrainPlan, sequence: TrackedSequence, pixels: PixelCache) -> Sta
         smooth_normals=settings.normals == "vertex",
         generator=generator,
     )
+    interval = sampling_interval(sequence, canonical, resolution=settings.resolution)
     avatar = Avatar(
         canonical,
-        settings.avatar,
+        replace(settings.avatar, smoothing=SMOOTHING**0.5 * interval),
         gaussians=gaussians,
         image_features=features,
         statistics=statistics,

@@ -16,14 +16,19 @@ from samira_warp.kernels.mesh.triangle_frames import triangle_frames
 from samira_warp.train.begun import CHECKPOINTS_FOLDER
 from samira_warp.train.checkpoint import TrainingState, load_training, save_checkpoint
 from samira_warp.train.density import DensityStatistics, control_density, reset_opacity
+from samira_warp.train.initialize import spread_out
 from samira_warp.train.interrupt import StopRequest
+from samira_warp.train.limits import hold_shapes
 from samira_warp.train.log import RunLog
-from samira_warp.train.losses import Target, linear_albedo, loss_weights, total_loss
+from samira_warp.train.losses import Known, Target, linear_albedo, loss_weights, total_loss
+from samira_warp.train.materials import hold_known
+from samira_warp.train.neighbours import neighbourhood
 from samira_warp.train.occlusions import FrameOcclusions
 from samira_warp.train.optimizer import make_optimizer, replace_gaussians, reset_moments, set_rates
 from samira_warp.train.plan import TrainPlan
 from samira_warp.train.skin import skin_faces
 from samira_warp.train.tracking import TrackedParameters
+from samira_warp.train.unseen import guess_unseen, seen_pixels
 
 PREFETCH = 8
 """Frames decoded ahead of the step that needs them."""
@@ -48,9 +53,11 @@ class Trainer:
         self.weights = loss_weights(plan.settings.ablate)
         self.perceptual: Lpips | None = None
         self.device = torch.device(plan.settings.device)
-        self.skin = _held_skin(plan, sequence, self.device)
         self.tracked = TrackedParameters(sequence.batch(sequence.train)).to(self.device)
         self.occlusions = FrameOcclusions(avatar.canonical, avatar.occluder, self.tracked)
+        canonical = avatar.canonical
+        self.face_scales = triangle_frames(canonical.vertices, canonical.topology).scale
+        self.known = Known.of(avatar, skin=_held_skin(plan, sequence, self.device))
         self.optimizer = make_optimizer(avatar, self.tracked)
         self.density = DensityStatistics(len(avatar.gaussians), self.device)
         self.step = self.saved = 0
@@ -71,7 +78,7 @@ class Trainer:
                 rendering, target, terms = self.train_step()
                 log.add(self.step, terms, gaussians=len(self.avatar.gaussians))
                 if self.step % self.settings.preview_every == 0 or self.step == self.schedule.steps:
-                    log.preview(self.step, rendering, target.image, self.avatar.light.environment())
+                    log.preview(self.step, rendering, target, self.avatar.light.environment())
                 if self.step % self.settings.checkpoint_every == 0 or self.step == self.schedule.steps:
                     self.save(folder, record)
             finished = self.step == self.schedule.steps
@@ -84,6 +91,20 @@ class Trainer:
         path = save_checkpoint(folder / CHECKPOINTS_FOLDER, self._state(), record=record)
         self.saved = self.step
         return path
+
+    def settle(self) -> int:
+        """Guess what no training picture saw, when the last step is done (`train.unseen`).
+
+        Returns:
+            How many Gaussians are guesses.
+        """
+        rows = spread_out(range(len(self.sequence.train)))
+        frames = [(row, self.sequence.frames[self.sequence.train[row]]) for row in rows]
+        views = (
+            (self.tracked.frame(row, frame.parameters.to(self.device)), self.camera(frame))
+            for row, frame in frames
+        )
+        return guess_unseen(self.avatar, seen_pixels(self.avatar, views))
 
     def train_step(self) -> tuple[Rendering, Target, dict[str, torch.Tensor]]:
         """One frame forward, backward and updated.
@@ -102,7 +123,7 @@ class Trainer:
         set_rates(self.optimizer, step=self.step, steps=self.schedule.steps)
         frame, target = self._target(row)
         camera = self.camera(frame)
-        rendering = self._render(row, frame, camera)
+        rendering = self._render(row, frame, camera, target.background)
         perceptual = (
             self.perceptual if self.schedule.perceptual_on(self.step) and self._perceptual_turn() else None
         )
@@ -111,20 +132,22 @@ class Trainer:
             target,
             self.avatar,
             self.weights,
+            self.known,
             stage_two=stage_two,
             perceptual=perceptual,
-            skin=self.skin,
         )
         self.optimizer.zero_grad(set_to_none=True)
         torch.stack(list(terms.values())).sum().backward()
         self._gather_density(rendering)
+        hold_known(self.avatar.gaussians, self.known.materials.held)
         self.optimizer.step(rows=[row])
+        hold_shapes(self.avatar.gaussians, self.face_scales)
         self._control_density()
         self.step += 1
         error = (rendering.image.detach() - target.image).square().mean()
         return rendering, target, {**{name: term.detach() for name, term in terms.items()}, "mse": error}
 
-    def _render(self, row: int, frame: Frame, camera: Camera) -> Rendering:
+    def _render(self, row: int, frame: Frame, camera: Camera, background: torch.Tensor) -> Rendering:
         """`Avatar.render` of a training frame under the learned light, with what was traced of it before."""
         avatar = self.avatar
         parameters = self.tracked.frame(row, frame.parameters.to(self.device))
@@ -133,7 +156,7 @@ class Trainer:
             occlusion = self.occlusions.of(row, parameters, motion.head)
             arrival = avatar.arrival(occlusion, light, camera)
         gbuffer = avatar.rasterize(motion, camera, arrival=arrival)
-        return avatar.shade(motion, gbuffer, camera, light)
+        return avatar.shade(motion, gbuffer, camera, light, background=background)
 
     def _state(self) -> TrainingState:
         return TrainingState(
@@ -163,7 +186,24 @@ class Trainer:
         albedo = content.albedo if matted and self.weights.albedo > 0.0 else None
         if albedo is not None:
             albedo = linear_albedo(albedo, color_space=self.settings.color_space)
-        return self.sequence.frames[index], Target(content.image, content.mask if matted else None, albedo)
+        mask = content.mask if matted else None
+        background = self._background(matted)
+        image = content.image
+        if mask is not None:
+            # what white was behind, this colour is behind now
+            image = image - (1.0 - mask[..., None]) * (1.0 - background)
+        return self.sequence.frames[index], Target(image, mask, albedo, background)
+
+    def _background(self, matted: bool) -> torch.Tensor:
+        """(3,) display values behind the head: another colour at every step, from seed and step alone.
+
+        On one colour, coverage and colour make up for each other along the silhouette. White where no matte
+        says what is behind.
+        """
+        if not matted:
+            return torch.ones(3, device=self.device)
+        generator = torch.Generator().manual_seed(self.settings.seed * 1_000_003 + self.step)
+        return torch.rand(3, generator=generator).to(self.device)
 
     def _perceptual_turn(self) -> bool:
         """LPIPS is every fourth step's in the cpu preset, and every step's otherwise."""
@@ -180,12 +220,11 @@ class Trainer:
         avatar, canonical = self.avatar, self.avatar.canonical
         if self.schedule.density_event(self.step):
             generator = torch.Generator().manual_seed(self.settings.seed * 1_000_003 + self.step)
-            scales = triangle_frames(canonical.vertices, canonical.topology).scale
             areas = face_areas(canonical.vertices, canonical.topology.faces)
             change = control_density(
                 avatar.gaussians,
                 self.density,
-                face_scales=scales,
+                face_scales=self.face_scales,
                 face_areas=areas,
                 cap=self.settings.gaussian_cap,
                 generator=generator,
@@ -210,6 +249,7 @@ class Trainer:
             atlas=canonical.atlas,
         )
         self.avatar.set_gaussians(gaussians)
+        self.known = self.known._replace(neighbours=neighbourhood(gaussians, canonical))
 
 
 def _held_skin(plan: TrainPlan, sequence: TrackedSequence, device: torch.device) -> torch.Tensor | None:

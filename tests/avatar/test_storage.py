@@ -134,7 +134,9 @@ def test_a_broken_file_is_named(copy, name, damage):
 def as_older(folder, version):
     """Make an avatar folder what an older version would have written."""
     description = json.loads((folder / "avatar.json").read_text())
-    del description["settings"]["visibility"]
+    del description["settings"]["smoothing"]
+    if version <= 3:
+        del description["settings"]["visibility"]
     if version == 1:
         del description["settings"]["tied_light"]
     (folder / "avatar.json").write_text(json.dumps({**description, "format": version}))
@@ -151,16 +153,25 @@ def as_older(folder, version):
     return folder
 
 
-@pytest.mark.parametrize("version", [1, 2, 3])
+@pytest.mark.parametrize("version", [1, 2, 3, 4])
 def test_folders_of_older_versions_are_read(saved, copy, version):
     avatar, folder = saved
     loaded = Avatar.load(as_older(copy, version))
-    assert loaded.settings == replace(avatar.settings, visibility=False)
+    assert loaded.settings == replace(avatar.settings, visibility=version > 3)
     assert all(torch.equal(value, loaded.state_dict()[name]) for name, value in avatar.state_dict().items())
     for before, after in zip(read_frames(folder), read_frames(copy), strict=True):
         assert (before.name, before.part) == (after.name, after.part)
         for name in ("translation", "rotations", "expression"):
             assert torch.equal(getattr(before.parameters, name), getattr(after.parameters, name)), name
+
+
+def test_an_older_avatar_is_smoothed_as_the_low_pass_did(copy):
+    """It was trained at 64 pixels, with a camera of 2.8 times their focal length, a metre in front of it."""
+    description = json.loads((as_older(copy, 4) / "avatar.json").read_text())
+    description["record"]["settings"] = {"resolution": 64}
+    (copy / "avatar.json").write_text(json.dumps(description))
+    # the head is not quite at the origin
+    assert Avatar.load(copy).settings.smoothing == pytest.approx(0.2**0.5 / (2.8 * 64), rel=0.1)
 
 
 def test_an_avatar_of_the_first_version_has_two_lights(copy):
@@ -178,7 +189,7 @@ def test_a_missing_part_of_an_older_versions_frames_is_named(copy, name):
 def test_an_older_folder_is_not_written_into(copy):
     frames = read_frames(copy)
     as_older(copy, 2)
-    refuses(copy, copy, "format 4", "found format 2", load=lambda folder: write_frames(folder, frames))
+    refuses(copy, copy, "format 5", "found format 2", load=lambda folder: write_frames(folder, frames))
     assert len(read_frames(copy)) == 1
     Avatar.load(copy).save(copy, record={})
     write_frames(copy, frames)
@@ -186,7 +197,7 @@ def test_an_older_folder_is_not_written_into(copy):
 
 
 def test_what_is_written_says_its_version(saved):
-    assert json.loads((saved[1] / "avatar.json").read_text())["format"] == 4
+    assert json.loads((saved[1] / "avatar.json").read_text())["format"] == 5
     assert "rotations" in tensor_names(saved[1] / "frames.safetensors")
 
 
@@ -209,7 +220,7 @@ def test_a_tied_light_is_one_map_and_comes_back(tmp_path):
 def test_an_unknown_version_is_refused_with_those_that_are_read(copy, version, found, load):
     description = json.loads((copy / "avatar.json").read_text())
     (copy / "avatar.json").write_text(json.dumps({**description, "format": version}))
-    refuses(copy, copy / "avatar.json", "an avatar of format 1 to 4", f"found {found}", load=load)
+    refuses(copy, copy / "avatar.json", "an avatar of format 1 to 5", f"found {found}", load=load)
 
 
 def test_a_description_of_another_kind_is_refused(copy):

@@ -174,7 +174,7 @@ def fake_gsplat(scene, calls):
         assert (viewmats.shape, Ks.shape, width, height, packed) == ((1, 4, 4), (1, 3, 3), size, size, False)
         calls.append("rasterization")
         projection = project(means, quats, scales, opacities, scene.camera)
-        bins = bin_tiles(projection, opacities, width=width, height=height)
+        bins = bin_tiles(projection, width=width, height=height)
         lists = {
             "isect_offsets": bins.tile_offsets[:-1].view(1, tiles, tiles),
             "flatten_ids": bins.gaussians,
@@ -186,7 +186,7 @@ def fake_gsplat(scene, calls):
             {
                 "means2d": projection.means2d[None],
                 "conics": projection.conics[None],
-                "opacities": opacities[None],
+                "opacities": projection.opacities[None],
                 **lists,
             },
         )

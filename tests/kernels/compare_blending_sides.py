@@ -23,7 +23,7 @@ def cloud(generator, count, spread, scale):
     )
     opacities = torch.rand(count, generator=generator)
     camera = Camera(torch.eye(4), 60.0, 60.0, WIDTH / 2, HEIGHT / 2, WIDTH, HEIGHT)
-    return project(means, quaternions, scales, opacities, camera), opacities
+    return project(means, quaternions, scales, opacities, camera)
 
 
 def pile(count):
@@ -31,13 +31,15 @@ def pile(count):
     later one."""
     means2d, depths = torch.tensor([[20.0, 17.0]]).repeat(count, 1), torch.arange(count).float()
     conics = torch.tensor([[1e-12, 0.0, 1e-12]]).repeat(count, 1)
-    return Projection(means2d, depths, conics, torch.ones(count, dtype=torch.bool)), torch.full((count,), 0.5)
+    opacities = torch.full((count,), 0.5)
+    return Projection(means2d, depths, conics, opacities, torch.ones(count, dtype=torch.bool))
 
 
-def compare(generator, projection, opacities, channels, at_least):
+def compare(generator, projection, channels, at_least):
     """Images and slots of both sides; ``at_least`` Gaussians have to meet in a tile."""
-    features = torch.randn(opacities.shape[0], channels, generator=generator)
-    bins = bin_tiles(projection, opacities, width=WIDTH, height=HEIGHT)
+    opacities = projection.opacities
+    features = torch.randn(len(opacities), channels, generator=generator)
+    bins = bin_tiles(projection, width=WIDTH, height=HEIGHT)
     assert bins.tile_offsets.diff().max() >= at_least, "too few Gaussians in a tile"
     gradients = (
         torch.randn(HEIGHT, WIDTH, channels, generator=generator),
@@ -66,12 +68,12 @@ if __name__ == "__main__":
     random = torch.Generator().manual_seed(0)
     batch = blending_cuda.BATCH
     for channel_count in (1, 3, 8, 11, 16):
-        compare(random, *cloud(random, 90, 0.15, 0.06), channel_count, at_least=batch + 1)
+        compare(random, cloud(random, 90, 0.15, 0.06), channel_count, at_least=batch + 1)
     # more channels than registers hold, the last group a full one and not
     largest = blending_cuda.GROUPS[-1]
     for channel_count in (20, largest, largest + 9):
-        compare(random, *cloud(random, 60, 0.15, 0.06), channel_count, at_least=1)
-    compare(random, *cloud(random, 300, 0.2, 0.006), 3, at_least=batch + 1)
+        compare(random, cloud(random, 60, 0.15, 0.06), channel_count, at_least=1)
+    compare(random, cloud(random, 300, 0.2, 0.006), 3, at_least=batch + 1)
     for pile_count in (1, batch - 1, batch, 3 * batch + 1):
-        compare(random, *pile(pile_count), 2, at_least=pile_count)
-    compare(random, *cloud(random, 0, 1.0, 1.0), 3, at_least=0)
+        compare(random, pile(pile_count), 2, at_least=pile_count)
+    compare(random, cloud(random, 0, 1.0, 1.0), 3, at_least=0)

@@ -33,11 +33,13 @@ def make_splats(generator, device, count=250, channels=5, aspect=2.0, scale=3.0,
     features = torch.randn(count, channels, generator=generator)
     inputs = [tensor.to(device) for tensor in (means2d, conics, opacities, features)]
     depths = torch.rand(count, generator=generator).to(device)
-    return inputs, Projection(inputs[0], depths, inputs[1], torch.ones_like(depths, dtype=torch.bool))
+    return inputs, Projection(
+        inputs[0], depths, inputs[1], inputs[2], torch.ones_like(depths, dtype=torch.bool)
+    )
 
 
-def make_bins(projection, opacities):
-    return bin_tiles(projection, opacities, width=WIDTH, height=HEIGHT)
+def make_bins(projection):
+    return bin_tiles(projection, width=WIDTH, height=HEIGHT)
 
 
 def make_weights(generator, device, channels):
@@ -64,7 +66,7 @@ def test_matches_the_dense_twin(device, generator, channels, count, aspect, scal
     """The twin has no tiles, no rows and no batches: what any cull drops shows."""
     inputs, projection = make_splats(generator, device, count, channels, aspect, scale)
     weights = make_weights(generator, device, channels)
-    bins = make_bins(projection, inputs[2])
+    bins = make_bins(projection)
     size = {"width": WIDTH, "height": HEIGHT}
     found, found_gradients = with_gradients(lambda *tensors: blend(*tensors, bins, **size), inputs, weights)
     order = torch.argsort(projection.depths)
@@ -91,7 +93,7 @@ def test_matches_the_dense_twin(device, generator, channels, count, aspect, scal
 def test_matches_the_plain_kernels(generator, channels):
     inputs, projection = make_splats(generator, "cpu", channels=channels)
     weights = make_weights(generator, "cpu", channels)
-    bins = make_bins(projection, inputs[2])
+    bins = make_bins(projection)
     found, gradients = with_gradients(
         lambda *tensors: blend(*tensors, bins, width=WIDTH, height=HEIGHT), inputs, weights
     )
@@ -118,10 +120,11 @@ def test_gradients_match_finite_differences(device, generator):
         inputs[0],
         torch.arange(5, device=device).float() + 1,
         inputs[1],
+        inputs[2],
         torch.ones(5, dtype=torch.bool, device=device),
     )
     weights = make_weights(generator, device, 3)
-    bins = make_bins(projection, inputs[2])
+    bins = make_bins(projection)
 
     def loss(tensors):
         results = blend(*tensors, bins, width=WIDTH, height=HEIGHT)
@@ -153,7 +156,7 @@ def test_gradients_match_finite_differences(device, generator):
 def test_linear_in_features(device, generator):
     inputs, projection = make_splats(generator, device, channels=7)
     weights = make_weights(generator, device, 7)
-    bins = make_bins(projection, inputs[2])
+    bins = make_bins(projection)
     inputs[3].requires_grad_()
     image = blend(*inputs, bins, width=WIDTH, height=HEIGHT).features
     adjoint = torch.autograd.grad(image, inputs[3], weights[0])[0]
@@ -176,10 +179,8 @@ def test_opaque_stack_stops(device, count):
         torch.ones(count, 1, device=device),
     ]
     depths = torch.arange(count, device=device).float()
-    bins = make_bins(
-        Projection(inputs[0], depths, inputs[1], torch.ones(count, dtype=torch.bool, device=device)),
-        inputs[2],
-    )
+    seen = torch.ones(count, dtype=torch.bool, device=device)
+    bins = make_bins(Projection(inputs[0], depths, inputs[1], inputs[2], seen))
     weights = [torch.ones(HEIGHT, WIDTH, 1, device=device), torch.zeros(HEIGHT, WIDTH, device=device)]
     found, gradients = with_gradients(
         lambda *tensors: blend(*tensors, bins, width=WIDTH, height=HEIGHT), inputs, weights
@@ -204,7 +205,7 @@ def test_many_gaussians_in_one_tile(generator):
     )
     inputs[0].mul_(0.3).add_(2.0)
     weights = make_weights(generator, "cpu", 3)
-    bins = make_bins(projection, inputs[2])
+    bins = make_bins(projection)
     assert bins.tile_offsets.diff().max() > 15000
     found, gradients = with_gradients(
         lambda *tensors: blend(*tensors, bins, width=WIDTH, height=HEIGHT), inputs, weights
@@ -226,12 +227,13 @@ def test_full_opacity_is_capped_and_opacity_zero_is_nothing(device):
         means2d,
         torch.tensor([1.0, 2.0], device=device),
         conics,
+        opacities,
         torch.ones(2, dtype=torch.bool, device=device),
     )
     weights = [torch.zeros(HEIGHT, WIDTH, 1, device=device), torch.zeros(HEIGHT, WIDTH, device=device)]
     weights[0][8, 8] = 1.0  # the centre, where the cap holds: no gradient but to the feature
     found, gradients = with_gradients(
-        lambda *tensors: blend(*tensors, make_bins(projection, opacities), width=WIDTH, height=HEIGHT),
+        lambda *tensors: blend(*tensors, make_bins(projection), width=WIDTH, height=HEIGHT),
         [means2d, conics, opacities, features],
         weights,
     )
@@ -244,12 +246,11 @@ def test_full_opacity_is_capped_and_opacity_zero_is_nothing(device):
 @pytest.mark.parametrize("count", [0, 3])
 def test_nothing_to_blend(device, count):
     inputs = [torch.zeros(count, *shape, device=device) for shape in ((2,), (3,), (), (4,))]
-    projection = Projection(
-        inputs[0], inputs[2], inputs[1], torch.zeros(count, dtype=torch.bool, device=device)
-    )
+    nothing = torch.zeros(count, dtype=torch.bool, device=device)
+    projection = Projection(inputs[0], inputs[2], inputs[1], inputs[2], nothing)
     weights = make_weights(torch.Generator().manual_seed(0), device, 4)
     found, gradients = with_gradients(
-        lambda *tensors: blend(*tensors, make_bins(projection, inputs[2]), width=WIDTH, height=HEIGHT),
+        lambda *tensors: blend(*tensors, make_bins(projection), width=WIDTH, height=HEIGHT),
         inputs,
         weights,
     )
@@ -268,7 +269,7 @@ def test_bits_do_not_depend_on_threads_runs_or_a_second_backward(generator):
     for threads in (1, 2, 2):
         torch.set_num_threads(threads)
         leaves = [tensor.clone().requires_grad_() for tensor in inputs]
-        results = blend(*leaves, make_bins(projection, inputs[2]), width=WIDTH, height=HEIGHT)
+        results = blend(*leaves, make_bins(projection), width=WIDTH, height=HEIGHT)
         first = torch.autograd.grad(results, leaves, weights, retain_graph=True)
         second = torch.autograd.grad(results, leaves, weights)
         assert all(torch.equal(one, two) for one, two in zip(first, second, strict=True))
@@ -282,7 +283,7 @@ def test_bits_do_not_depend_on_threads_runs_or_a_second_backward(generator):
 def test_wrong_features_are_a_users_error(device, generator):
     inputs, projection = make_splats(generator, device)
     with pytest.raises(UserError, match="features"):
-        blend(*inputs[:3], inputs[3][:-1], make_bins(projection, inputs[2]), width=WIDTH, height=HEIGHT)
+        blend(*inputs[:3], inputs[3][:-1], make_bins(projection), width=WIDTH, height=HEIGHT)
 
 
 def test_gpu_kernels_match_on_the_cpu():

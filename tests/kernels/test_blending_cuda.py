@@ -68,8 +68,8 @@ class Job:
         *gaussians, opacities, features = self.inputs
         size = {"width": WIDTH, "height": HEIGHT}
         projection = project(*gaussians, opacities, self.camera)
-        bins = bin_tiles(projection, opacities, capacity=capacity, **size)
-        found = blend(projection.means2d, projection.conics, opacities, features, bins, **size)
+        bins = bin_tiles(projection, capacity=capacity, **size)
+        found = blend(projection.means2d, projection.conics, projection.opacities, features, bins, **size)
         return *found, *torch.autograd.grad(found, self.inputs, self.weights)
 
     @torch.no_grad()

@@ -26,16 +26,16 @@ def without(arguments, *names):
 
 def projected():
     arguments = {**without(gaussians(), "features"), "camera": turned_camera("cpu", WIDTH, HEIGHT)}
-    return kernels.project(**arguments), arguments["opacities"]
+    return kernels.project(**arguments)
 
 
 def blend_inputs():
-    projection, opacities = projected()
-    bins = kernels.bin_tiles(projection, opacities, width=WIDTH, height=HEIGHT)
+    projection = projected()
+    bins = kernels.bin_tiles(projection, width=WIDTH, height=HEIGHT)
     return {
         "means2d": projection.means2d,
         "conics": projection.conics,
-        "opacities": opacities,
+        "opacities": projection.opacities,
         "features": torch.ones(5, 3),
         "bins": bins,
     }
@@ -76,7 +76,7 @@ CASES = {
     },
     "bilinear_table": lambda: {"uv": torch.rand(5, 2), "width": 4, "height": 4},
     "bin_tiles": lambda: {
-        **dict(zip(("projection", "opacities"), projected(), strict=True)),
+        "projection": projected(),
         "width": WIDTH,
         "height": HEIGHT,
     },

@@ -7,7 +7,7 @@ from samira_warp.geometry.camera import Camera
 from samira_warp.kernels.raster.projection import project
 from samira_warp.reference.raster.projection import least_sigma
 from samira_warp.reference.raster.projection import project as reference_project
-from samira_warp.support.constants import ALPHA_MIN, NEAR_PLANE
+from samira_warp.support.constants import ALPHA_MIN, LOW_PASS, NEAR_PLANE
 from samira_warp.support.errors import UserError
 
 COUNT = 400
@@ -62,14 +62,14 @@ def test_gradients_match_the_twin(device, generator):
     clamped = visible & ((point[:, 0] / point[:, 2]).abs() > 1.3 * 0.55 * camera.width / camera.fx)
     assert clamped.sum() > 3
 
-    weights = [torch.randn(COUNT, *shape, generator=generator).to(device) for shape in ((2,), (), (3,))]
+    weights = [torch.randn(COUNT, *shape, generator=generator).to(device) for shape in ((2,), (), (3,), ())]
     weights = [torch.where(visible.view(-1, *[1] * (weight.dim() - 1)), weight, 0.0) for weight in weights]
     results = []
     for function, dtype in ((project, torch.float32), (reference_project, torch.float64)):
-        inputs = [tensor.to(dtype).requires_grad_() for tensor in gaussians[:3]]
-        projection = function(*inputs, gaussians[3].to(dtype), camera)
+        inputs = [tensor.to(dtype).requires_grad_() for tensor in gaussians]
+        projection = function(*inputs, camera)
         loss = sum(
-            (result * weight.to(dtype)).sum() for result, weight in zip(projection[:3], weights, strict=True)
+            (result * weight.to(dtype)).sum() for result, weight in zip(projection[:4], weights, strict=True)
         )
         results.append(torch.autograd.grad(loss, inputs))
     for found, expected in zip(*results, strict=True):
@@ -84,10 +84,11 @@ def test_gradients_match_the_twin(device, generator):
 
 def test_gradients_match_finite_differences(generator):
     gaussians, camera = make_gaussians(generator, "cpu", count=6, spread=0.1), make_camera("cpu")
-    inputs = [tensor.double().requires_grad_() for tensor in gaussians[:3]]
+    gaussians[3].clamp_(min=0.1)
+    inputs = [tensor.double().requires_grad_() for tensor in gaussians]
 
     def results(*tensors):
-        return reference_project(*tensors, torch.ones(6).double(), camera)[:3]
+        return reference_project(*tensors, camera)[:4]
 
     assert torch.autograd.gradcheck(results, inputs, eps=1e-6, atol=1e-4, rtol=1e-4)
 
@@ -113,14 +114,14 @@ def test_unusable_gaussians_are_culled_without_a_trace(device, generator, field,
     healthy = project(*gaussians, camera)
     assert healthy.visible.all()
     gaussians[field][7] = value
-    inputs = [tensor.clone().requires_grad_() for tensor in gaussians[:3]]
-    projection = project(*inputs, gaussians[3], camera)
+    inputs = [tensor.clone().requires_grad_() for tensor in gaussians]
+    projection = project(*inputs, camera)
     assert projection.visible.tolist() == [i != 7 for i in range(20)]
     others = projection.visible
-    for found, expected in zip(projection[:3], healthy[:3], strict=True):
+    for found, expected in zip(projection[:4], healthy[:4], strict=True):
         assert torch.equal(found[others], expected[others])
         assert (found[7] == 0).all()
-    gradients = torch.autograd.grad(sum((result * result).sum() for result in projection[:3]), inputs)
+    gradients = torch.autograd.grad(sum((result * result).sum() for result in projection[:4]), inputs)
     for gradient in gradients:
         assert gradient.isfinite().all()
         assert (gradient[7] == 0).all()
@@ -137,17 +138,30 @@ def test_depth_decides_at_the_near_plane(device):
     assert visible.tolist() == [False, False, False, True, True]
 
 
-def test_zero_scale_is_a_low_pass_disc(device):
+@pytest.mark.parametrize("pixels", [0.05, 0.5, 5.0])
+def test_low_pass_keeps_what_a_disc_adds_to_the_image(device, pixels):
+    """A disc that faces the camera adds 2 pi sigma^2 times its opacity, whatever the low-pass makes of it."""
     camera = Camera(torch.eye(4, device=device), 50.0, 50.0, 16.0, 16.0, 32, 32)
-    means, scales = (
-        torch.tensor([[0.0, 0, 1]], device=device),
-        torch.zeros(1, 3, device=device, requires_grad=True),
+    gaussian = [[0.0, 0, 1]], [[1.0, 0, 0, 0]], [[pixels / 50, pixels / 50, 1e-4]], [0.8]
+    projection = project(*(torch.tensor(values, device=device) for values in gaussian), camera)
+    expected = 1 / (pixels**2 + LOW_PASS)
+    # float32 rounds 2^-24 relative per operation
+    torch.testing.assert_close(
+        projection.conics.cpu(), torch.tensor([[expected, 0.0, expected]]), rtol=1e-6, atol=0.0
     )
-    projection = project(
-        means, torch.tensor([[1.0, 0, 0, 0]], device=device), scales, torch.ones(1, device=device), camera
-    )
-    torch.testing.assert_close(projection.conics.cpu(), torch.tensor([[1 / 0.3, 0.0, 1 / 0.3]]))
-    assert (torch.autograd.grad(projection.conics.sum(), scales)[0] == 0).all()
+    spread = 2 * math.pi * float(projection.opacities) / float(projection.conics[0, 0])
+    assert spread == pytest.approx(2 * math.pi * 0.8 * pixels**2, rel=1e-5)
+
+
+@pytest.mark.parametrize("scales", [(0.0, 0.0, 0.0), (0.1, 0.0, 0.0), (0.0, 0.0, 0.1)])
+def test_what_has_no_area_is_not_seen(device, scales):
+    camera = Camera(torch.eye(4, device=device), 50.0, 50.0, 16.0, 16.0, 32, 32)
+    values = [[0.0, 0, 1]], [[1.0, 0, 0, 0]], [scales], [1.0]
+    inputs = [torch.tensor(value, device=device, requires_grad=True) for value in values]
+    projection = project(*inputs, camera)
+    assert not projection.visible.any()
+    gradients = torch.autograd.grad(sum(result.sum() for result in projection[:4]), inputs)
+    assert all((gradient == 0).all() for gradient in gradients)
 
 
 def test_visible_means_an_alpha_in_the_image(device, generator):
@@ -167,7 +181,7 @@ def test_visible_means_an_alpha_in_the_image(device, generator):
     )
     # slopes near the border are clamped differently in the wider image: compare where neither clamps, well
     # inside both
-    seen = wide.visible & (sigma.amin(dim=1) < torch.log(gaussians[3].double() / ALPHA_MIN) - 1e-2)
+    seen = wide.visible & (sigma.amin(dim=1) < torch.log(wide.opacities.double() / ALPHA_MIN) - 1e-2)
     point = gaussians[0] @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
     slope = point[:, :2] / point[:, 2:]
     inside = (slope[:, 0].abs() < 0.45 * 24 / camera.fx) & (slope[:, 1].abs() < 0.45 * 18 / camera.fy)
@@ -179,7 +193,7 @@ def test_visible_means_an_alpha_in_the_image(device, generator):
 def test_no_gaussians(device):
     inputs = [torch.zeros(0, size, device=device, requires_grad=True) for size in (3, 4, 3)]
     projection = project(*inputs, torch.zeros(0, device=device), make_camera(device))
-    assert [tuple(result.shape) for result in projection] == [(0, 2), (0,), (0, 3), (0,)]
+    assert [tuple(result.shape) for result in projection] == [(0, 2), (0,), (0, 3), (0,), (0,)]
     projection.means2d.sum().backward()
     assert inputs[0].grad.shape == (0, 3)
 
@@ -190,16 +204,16 @@ def test_bits_do_not_depend_on_threads_or_runs(generator):
     before = torch.get_num_threads()
     for threads in (1, 2, 2):
         torch.set_num_threads(threads)
-        inputs = [tensor.clone().requires_grad_() for tensor in gaussians[:3]]
-        projection = project(*inputs, gaussians[3], camera)
-        loss = sum((result * result).sum(dim=0).sum() for result in projection[:3])
+        inputs = [tensor.clone().requires_grad_() for tensor in gaussians]
+        projection = project(*inputs, camera)
+        loss = sum((result * result).sum(dim=0).sum() for result in projection[:4])
         first = torch.autograd.grad(loss, inputs, retain_graph=True)
         results.append((*projection, *first, *torch.autograd.grad(loss, inputs)))
     torch.set_num_threads(before)
     for one, two, again in zip(*results, strict=True):
         assert torch.equal(one, two)
         assert torch.equal(two, again)
-    for first, second in zip(results[0][4:7], results[0][7:], strict=True):
+    for first, second in zip(results[0][5:9], results[0][9:], strict=True):
         assert torch.equal(first, second)
 
 

@@ -135,14 +135,14 @@ def test_sizes_match_the_twin(device, generator, width, height):
 def test_a_hundred_thousand_in_one_tile(generator):
     """Specks that seldom cover two pixels, so that no pixel is full before it has seen them all."""
     camera = straight_camera("cpu", 16, 16)
-    scene = block(generator, "cpu", 100_000, extent=(0.06, 0.06), scale=1e-3, opacity=(0.004, 0.006))
+    scene = block(generator, "cpu", 120_000, extent=(0.06, 0.06), scale=1e-3, opacity=(0.2, 0.3))
     weights = make_weights(generator, camera)
     projection = project(*scene[:4], camera)
-    bins = bin_tiles(projection, scene[3], width=16, height=16)
+    bins = bin_tiles(projection, width=16, height=16)
     assert bins.tile_offsets.tolist() == [0, len(bins.gaussians)]
-    assert len(bins.gaussians) > 95_000
+    assert len(bins.gaussians) > 100_000
 
-    inputs = [projection.means2d, projection.conics, scene[3], scene[4]]
+    inputs = [projection.means2d, projection.conics, projection.opacities, scene[4]]
     plain = blending_plain.blend(*inputs, bins, bins.gaussians, width=16, height=16)
     assert plain.transmittance.min() > 1e-3
     truths = blending_plain.blend_adjoint(*inputs, bins, bins.gaussians, plain, weights[0], -weights[1])

@@ -41,8 +41,9 @@ def with_capacity(means, quaternions, scales, opacities, features, camera, capac
     """As `rasterize`, with room for a fixed number of intersections; also what `project` found."""
     size = {"width": camera.width, "height": camera.height}
     projection = project(means, quaternions, scales, opacities, camera)
-    bins = bin_tiles(projection, opacities, capacity=capacity, **size)
-    return blend(projection.means2d, projection.conics, opacities, features, bins, **size), projection
+    bins = bin_tiles(projection, capacity=capacity, **size)
+    seen = (projection.means2d, projection.conics, projection.opacities)
+    return blend(*seen, features, bins, **size), projection
 
 
 def test_capacity_does_not_change_the_picture(device, generator):

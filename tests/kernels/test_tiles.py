@@ -28,9 +28,7 @@ def make_ellipses(generator, device, count=300, width=70, height=50, aspect=1.0,
     depths = 0.5 + torch.rand(count, generator=generator)
     opacities = torch.rand(count, generator=generator)
     visible = torch.rand(count, generator=generator) < 0.9
-    return Projection(*(tensor.to(device) for tensor in (means2d, depths, conics, visible))), opacities.to(
-        device
-    )
+    return Projection(*(tensor.to(device) for tensor in (means2d, depths, conics, opacities, visible)))
 
 
 def entries(bins):
@@ -42,13 +40,13 @@ def entries(bins):
     return set(zip(tiles.tolist(), bins.gaussians[: len(tiles)].tolist(), strict=True))
 
 
-def visible_pairs(projection, opacities, width, height):
+def visible_pairs(projection, width, height):
     """{(tile, Gaussian)} with alpha of at least ALPHA_MIN at a pixel centre, by brute force in float64."""
     y, x = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
     pixels = torch.stack([x.flatten(), y.flatten()], dim=-1).to(projection.means2d.device).double() + 0.5
     dx, dy = (pixels[:, None] - projection.means2d.double()).unbind(-1)
     xx, xy, yy = projection.conics.double().unbind(-1)
-    alpha = opacities.double() * torch.exp(-0.5 * (xx * dx * dx + yy * dy * dy) - xy * dx * dy)
+    alpha = projection.opacities.double() * torch.exp(-0.5 * (xx * dx * dx + yy * dy * dy) - xy * dx * dy)
     pixel, gaussian = ((alpha >= ALPHA_MIN) & projection.visible).nonzero(as_tuple=True)
     tile = pixel // width // TILE * -(-width // TILE) + pixel % width // TILE
     return set(zip(tile.tolist(), gaussian.tolist(), strict=True))
@@ -56,23 +54,23 @@ def visible_pairs(projection, opacities, width, height):
 
 @pytest.mark.parametrize(("aspect", "scale"), [(1.0, 0.5), (1.0, 3.0), (4.0, 3.0), (8.0, 6.0), (1.0, 60.0)])
 def test_no_visible_pair_is_dropped_and_few_others_kept(device, generator, aspect, scale):
-    projection, opacities = make_ellipses(generator, device, aspect=aspect, scale=scale)
-    bins = bin_tiles(projection, opacities, width=70, height=50)
-    kept, needed = entries(bins), visible_pairs(projection, opacities, 70, 50)
+    projection = make_ellipses(generator, device, aspect=aspect, scale=scale)
+    bins = bin_tiles(projection, width=70, height=50)
+    kept, needed = entries(bins), visible_pairs(projection, 70, 50)
     assert len(needed) > 200
     assert needed <= kept
     # exact against the twin, but for the margin of 1e-3 + 1e-4 sigma on the ellipse
-    double = Projection(*(tensor.double() for tensor in projection[:3]), projection.visible)
-    exact = entries(reference_bin_tiles(double, opacities.double(), width=70, height=50))
+    double = Projection(*(tensor.double() for tensor in projection[:4]), projection.visible)
+    exact = entries(reference_bin_tiles(double, width=70, height=50))
     assert exact <= kept
     assert len(kept - exact) <= 0.005 * len(exact) + 1
 
 
 @pytest.mark.parametrize(("width", "height"), [(1, 1), (16, 16), (17, 5), (64, 33)])
 def test_layout(device, generator, width, height):
-    projection, opacities = make_ellipses(generator, device, width=width, height=height)
+    projection = make_ellipses(generator, device, width=width, height=height)
     projection.depths[::3] = 0.75  # equal depths keep the order of the input
-    bins = bin_tiles(projection, opacities, width=width, height=height)
+    bins = bin_tiles(projection, width=width, height=height)
     assert (bins.columns, bins.rows) == (-(-width // TILE), -(-height // TILE))
     assert bins.tile_offsets[0] == 0
     assert bins.tile_offsets[-1] == len(bins.gaussians) == bins.slot_offsets[-1]
@@ -85,14 +83,14 @@ def test_layout(device, generator, width, height):
 
 
 def test_capacity_changes_nothing_where_it_suffices_and_drops_the_farthest_where_not(device, generator):
-    projection, opacities = make_ellipses(generator, device)
-    bins = bin_tiles(projection, opacities, width=70, height=50)
+    projection = make_ellipses(generator, device)
+    bins = bin_tiles(projection, width=70, height=50)
     count = len(bins.gaussians)
-    roomy = bin_tiles(projection, opacities, width=70, height=50, capacity=count + 100)
+    roomy = bin_tiles(projection, width=70, height=50, capacity=count + 100)
     assert torch.equal(roomy.tile_offsets, bins.tile_offsets)
     assert torch.equal(roomy.gaussians[:count], bins.gaussians)
     assert torch.equal(roomy.slots[:count], bins.slots)
-    tight = bin_tiles(projection, opacities, width=70, height=50, capacity=count // 2)
+    tight = bin_tiles(projection, width=70, height=50, capacity=count // 2)
     assert tight.tile_offsets[-1] == count // 2
     dropped = entries(bins) - entries(tight)
     assert entries(tight) < entries(bins)
@@ -103,9 +101,9 @@ def test_capacity_changes_nothing_where_it_suffices_and_drops_the_farthest_where
 @pytest.mark.parametrize("count", [0, 5])
 @pytest.mark.parametrize("capacity", [None, 0, 10])
 def test_nothing_to_bin(device, count, capacity):
-    zeros = [torch.zeros(count, *shape, device=device) for shape in ((2,), (), (3,))]
+    zeros = [torch.zeros(count, *shape, device=device) for shape in ((2,), (), (3,), ())]
     empty = Projection(*zeros, torch.zeros(count, dtype=torch.bool, device=device))
-    bins = bin_tiles(empty, torch.ones(count, device=device), width=20, height=20, capacity=capacity)
+    bins = bin_tiles(empty, width=20, height=20, capacity=capacity)
     assert bins.tile_offsets.tolist() == [0] * 5
     assert (bins.slot_offsets == 0).all()
 
@@ -120,26 +118,30 @@ def test_hostile_ellipses_end(device):
         [values[torch.arange(count, device=device) % 7], torch.full((count,), 5.0, device=device)], dim=-1
     )
     projection = Projection(
-        means2d, torch.ones(count, device=device), conics, torch.ones(count, dtype=torch.bool, device=device)
+        means2d,
+        torch.ones(count, device=device),
+        conics,
+        torch.full((count,), 0.5, device=device),
+        torch.ones(count, dtype=torch.bool, device=device),
     )
-    bins = bin_tiles(projection, torch.full((count,), 0.5, device=device), width=64, height=64)
+    bins = bin_tiles(projection, width=64, height=64)
     assert bins.tile_offsets[-1] <= 16 * count
     assert not (torch.isnan(means2d[bins.gaussians.long()])).any()
 
 
 def test_bits_do_not_depend_on_threads(generator):
-    projection, opacities = make_ellipses(generator, "cpu", count=20000, width=200, height=100)
+    projection = make_ellipses(generator, "cpu", count=20000, width=200, height=100)
     before = torch.get_num_threads()
     results = []
     for threads in (1, 2):
         torch.set_num_threads(threads)
-        results.append(bin_tiles(projection, opacities, width=200, height=100))
+        results.append(bin_tiles(projection, width=200, height=100))
     torch.set_num_threads(before)
     for one, two in zip(results[0][:5], results[1][:5], strict=True):
         assert torch.equal(one, two)
 
 
 def test_wrong_opacities_are_a_users_error(device, generator):
-    projection, opacities = make_ellipses(generator, device)
+    projection = make_ellipses(generator, device)
     with pytest.raises(UserError, match="opacities"):
-        bin_tiles(projection, opacities[1:], width=10, height=10)
+        bin_tiles(projection._replace(opacities=projection.opacities[1:]), width=10, height=10)

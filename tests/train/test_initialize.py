@@ -114,7 +114,7 @@ def test_fewer_gaussians_than_faces(count):
 
 def test_initial_materials(device):
     _, gaussians = placed(count=5, device=device)
-    for name, value in (("opacities", 0.5), ("roughness", 0.5), ("specular", 0.035), ("albedo", 0.3)):
+    for name, value in (("opacities", 0.5), ("albedo", 0.3)):
         found = getattr(gaussians, name)
         torch.testing.assert_close(found, torch.full_like(found, value), atol=1e-5, rtol=0)
 

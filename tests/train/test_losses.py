@@ -7,21 +7,45 @@ from scipy.ndimage import gaussian_filter
 from skimage.metrics import structural_similarity
 from subjects import SMALL_LIGHT, camera, parameters, small_avatar
 
+from samira_warp.kernels.gathering.gather import GatherTable
 from samira_warp.light import decode_srgb
 from samira_warp.train.losses import (
+    Known,
     LossWeights,
     Target,
     albedo_loss,
     linear_albedo,
+    normal_contrast,
     normal_prior,
     normal_smoothness,
     total_loss,
 )
+from samira_warp.train.materials import ROUGHNESS_UNIT, SPECULAR_UNIT, MaterialPrior
+from samira_warp.train.neighbours import Neighbourhood
 
 SIZE = 24
+COUNT = 10
 WEIGHTS = LossWeights(
-    ssim=0.2, lpips=0.05, normal_smoothness=0.15, normal_prior=0.1, albedo=0.1, mask=0.1, response=1e-3
+    ssim=0.2,
+    lpips=0.05,
+    normal_smoothness=0.15,
+    normal_prior=0.1,
+    normal_contrast=0.3,
+    albedo=0.1,
+    mask=0.1,
+    response=1e-3,
+    materials=0.02,
+    materials_contrast=0.1,
 )
+
+
+def neighbours_of(device, generator):
+    """Two neighbours each, of other weights, in triangles that are turned as they please."""
+    indices = (torch.arange(COUNT)[:, None] + torch.tensor([1, 4])) % COUNT
+    weights = torch.tensor([0.3, 0.7]).expand(COUNT, 2).contiguous()
+    table = GatherTable.build(indices.int().to(device), weights.to(device), sources=COUNT)
+    rotation = torch.linalg.qr(torch.randn(COUNT, 3, 3, generator=generator)).Q
+    return Neighbourhood(table, rotation.to(device))
 
 
 @pytest.fixture
@@ -38,26 +62,45 @@ def scene(device, generator):
         residual_position=0.02 * (draw(4, 4, 3) - 0.5), residual_rotation=draw(4, 4, 3) - 0.5
     )
     rendering = SimpleNamespace(image=draw(SIZE, SIZE, 3), gbuffer=gbuffer, motion=motion)
-    initial = torch.nn.functional.normalize(draw(10, 3), dim=1)
+    initial = torch.nn.functional.normalize(draw(COUNT, 3), dim=1)
     avatar = SimpleNamespace(
-        gaussians=SimpleNamespace(normals=2 * draw(10, 3) + 0.1, initial_normals=initial),
+        gaussians=SimpleNamespace(
+            normals=2 * draw(COUNT, 3) + 0.1,
+            initial_normals=initial,
+            roughness=draw(COUNT),
+            specular=0.1 * draw(COUNT),
+            faces=torch.arange(COUNT, device=device, dtype=torch.int32) // 2,
+        ),
         response_logits=draw(10, 2) - 0.5,
         settings=SimpleNamespace(residual=True),
         canonical=SimpleNamespace(
             atlas=SimpleNamespace(valid=torch.arange(16).view(4, 4).to(device) % 3 > 0)
         ),
     )
-    return rendering, Target(draw(SIZE, SIZE, 3), draw(SIZE, SIZE), draw(SIZE, SIZE, 3)), avatar
+    target = Target(draw(SIZE, SIZE, 3), draw(SIZE, SIZE), draw(SIZE, SIZE, 3), draw(3))
+    materials = MaterialPrior(draw(5), 0.1 * draw(5), torch.zeros(5, dtype=torch.bool, device=device))
+    return rendering, target, avatar, Known(materials, neighbours_of(device, generator), None)
 
 
 def numpy_of(tensor):
     return tensor.double().cpu().numpy()
 
 
+def contrast_of(values):
+    """(N, C) less what the neighbours of `neighbours_of` have."""
+    return values - 0.3 * np.roll(values, -1, axis=0) - 0.7 * np.roll(values, -4, axis=0)
+
+
 def test_every_term_has_its_closed_form(scene):
-    rendering, target, avatar = scene
+    rendering, target, avatar, known = scene
     terms = total_loss(
-        rendering, target, avatar, WEIGHTS, stage_two=True, perceptual=lambda a, b: (a - b).square().mean()
+        rendering,
+        target,
+        avatar,
+        WEIGHTS,
+        known,
+        stage_two=True,
+        perceptual=lambda a, b: (a - b).square().mean(),
     )
     image, truth = numpy_of(rendering.image), numpy_of(target.image)
     g = rendering.gbuffer
@@ -73,6 +116,12 @@ def test_every_term_has_its_closed_form(scene):
     cosine = (canonical * initial).sum(-1) / np.linalg.norm(canonical, axis=-1)
     inside = numpy_of(target.mask) > 0.95
     valid = avatar.canonical.atlas.valid.cpu().numpy()
+    rotation = numpy_of(known.neighbours.rotation)
+    change = np.einsum("nij,nj->ni", rotation, canonical / np.linalg.norm(canonical, axis=-1)[:, None])
+    change -= np.einsum("nij,nj->ni", rotation, initial)
+    finish = [(avatar.gaussians.roughness, known.materials.roughness, ROUGHNESS_UNIT)]
+    finish += [(avatar.gaussians.specular, known.materials.specular, SPECULAR_UNIT)]
+    off = np.stack([(numpy_of(f) - numpy_of(k).repeat(2)) / unit for f, k, unit in finish], axis=1)
     expected = {
         "l1": 0.8 * np.abs(image - truth).mean(),
         "mask": 0.1 * np.abs(alpha - numpy_of(target.mask)).mean(),
@@ -80,6 +129,8 @@ def test_every_term_has_its_closed_form(scene):
         "albedo": 0.1 * np.abs(numpy_of(g.albedo) - numpy_of(target.albedo))[inside].mean(),
         "normal_smoothness": 0.15 * np.concatenate(pairs).mean(),
         "normal_prior": 0.1 * (1 - cosine).mean(),
+        "normal_contrast": 0.3 * (contrast_of(change) ** 2).sum(-1).mean(),
+        "materials": 0.02 * (off**2).mean() + 0.1 * (contrast_of(off) ** 2).mean(),
         "residual": 0.1 * (numpy_of(rendering.motion.residual_position / 0.02)[valid] ** 2).mean()
         + 0.1 * (numpy_of(rendering.motion.residual_rotation / np.pi)[valid] ** 2).mean(),
         "response": 1e-3 * (numpy_of(avatar.response_logits) ** 2).mean(),
@@ -92,10 +143,10 @@ def test_every_term_has_its_closed_form(scene):
 
 
 def test_ssim_is_its_definition_with_mirrored_borders_and_scikit_images_inside(scene, generator):
-    rendering, target, avatar = scene
+    rendering, target, avatar, known = scene
     noise = 0.2 * torch.randn(SIZE, SIZE, 3, generator=generator).to(target.image.device)
     rendering.image = (target.image + noise).clamp(0, 1)
-    term = total_loss(rendering, target, avatar, WEIGHTS, stage_two=False, perceptual=None)["ssim"]
+    term = total_loss(rendering, target, avatar, WEIGHTS, known, stage_two=False, perceptual=None)["ssim"]
     truth, image = numpy_of(target.image), numpy_of(rendering.image)
 
     def blurred(values):
@@ -121,20 +172,22 @@ def test_ssim_is_its_definition_with_mirrored_borders_and_scikit_images_inside(s
 
 
 def test_a_perfect_image_costs_nothing(scene):
-    rendering, target, avatar = scene
+    rendering, target, avatar, known = scene
     rendering.image, rendering.gbuffer.alpha = target.image, target.mask[..., None]
     rendering.gbuffer.albedo = target.albedo
+    avatar.gaussians.roughness = known.materials.roughness.repeat_interleave(2)
+    avatar.gaussians.specular = known.materials.specular.repeat_interleave(2)
     rendering.motion.residual_position, rendering.motion.residual_rotation = (
         torch.zeros(4, 4, 3),
         torch.zeros(4, 4, 3),
     )
-    terms = total_loss(rendering, target, avatar, WEIGHTS, stage_two=False, perceptual=None)
-    assert set(terms) == {"l1", "ssim", "mask", "albedo", "residual"}
+    terms = total_loss(rendering, target, avatar, WEIGHTS, known, stage_two=False, perceptual=None)
+    assert set(terms) == {"l1", "ssim", "mask", "albedo", "residual", "materials"}
     assert float(sum(terms.values())) == pytest.approx(0.0, abs=1e-6)
 
 
 def test_albedo_is_compared_only_inside_the_matte_and_only_where_there_is_one(scene):
-    rendering, target, avatar = scene
+    rendering, target, avatar, known = scene
     mask = torch.zeros_like(target.mask)
     mask[3, 4] = 1.0
     mask[5, 6] = 0.95
@@ -144,7 +197,8 @@ def test_albedo_is_compared_only_inside_the_matte_and_only_where_there_is_one(sc
     assert float(value) == pytest.approx(0.2, rel=1e-5)
     assert float(albedo_loss(albedo, target.albedo, torch.zeros_like(mask))) == 0.0
     absent = target._replace(albedo=None)
-    assert "albedo" not in total_loss(rendering, absent, avatar, WEIGHTS, stage_two=True, perceptual=None)
+    terms = total_loss(rendering, absent, avatar, WEIGHTS, known, stage_two=True, perceptual=None)
+    assert "albedo" not in terms
 
 
 def test_smoothness_of_known_normals(device):
@@ -165,6 +219,18 @@ def test_normal_prior_does_not_depend_on_length(device, generator):
     assert float(normal_prior(-0.1 * initial, initial)) == pytest.approx(2.0, abs=1e-6)
 
 
+def test_normals_that_turn_together_have_no_contrast(device, generator):
+    """The mesh's own creases and what all neighbours share cost nothing, whatever way their triangles lie."""
+    neighbours = neighbours_of(device, generator)
+    initial = torch.nn.functional.normalize(torch.randn(COUNT, 3, generator=generator), dim=1).to(device)
+    # float32 rounds unit vectors to 6e-8
+    assert float(normal_contrast(3.0 * initial, initial, neighbours)) < 1e-12
+    flat = Neighbourhood(neighbours.table, torch.eye(3, device=device).expand(COUNT, 3, 3))
+    same = initial[:1].expand(COUNT, 3)
+    assert float(normal_contrast(same.flip(1), same, flat)) < 1e-12
+    assert float(normal_contrast(initial.flip(0), initial, neighbours)) > 0.1
+
+
 def test_pseudo_albedo_is_decoded_before_it_is_compared(generator):
     albedo = torch.rand(5, 5, 3, generator=generator)
     assert torch.equal(linear_albedo(albedo, color_space="srgb"), decode_srgb(albedo))
@@ -175,14 +241,17 @@ def test_gradients_of_all_terms_reach_the_avatar(generator):
     avatar = small_avatar(light_sizes=SMALL_LIGHT)
     with torch.no_grad():
         avatar.response_logits.normal_(generator=generator)
+        avatar.gaussians.roughness_logits.add_(0.3)
         avatar.gaussians.normals.add_(0.3 * torch.randn(avatar.gaussians.normals.shape, generator=generator))
     rendering = avatar.render(parameters(0), camera(32))
     target = Target(
         torch.rand(32, 32, 3, generator=generator),
         torch.ones(32, 32),
         torch.rand(32, 32, 3, generator=generator),
+        torch.rand(3, generator=generator),
     )
-    terms = total_loss(rendering, target, avatar, WEIGHTS, stage_two=True, perceptual=None)
+    known = Known.of(avatar)
+    terms = total_loss(rendering, target, avatar, WEIGHTS, known, stage_two=True, perceptual=None)
     reached = {
         "l1": avatar.gaussians.albedo_logits,
         "ssim": avatar.light.diffuse,
@@ -190,6 +259,8 @@ def test_gradients_of_all_terms_reach_the_avatar(generator):
         "albedo": avatar.gaussians.albedo_logits,
         "normal_smoothness": avatar.gaussians.normals,
         "normal_prior": avatar.gaussians.normals,
+        "normal_contrast": avatar.gaussians.normals,
+        "materials": avatar.gaussians.roughness_logits,
         "response": avatar.response_logits,
     }
     for name, parameter in reached.items():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,11 +16,19 @@ from torch import Tensor
 from samira_warp.avatar.canonical import CanonicalHead
 from samira_warp.avatar.gaussians import Gaussians
 from samira_warp.avatar.settings import AvatarSettings
-from samira_warp.avatar.storage.description import DESCRIPTION_FILE, read_description, write_description
+from samira_warp.avatar.storage.description import (
+    DESCRIPTION_FILE,
+    Description,
+    read_description,
+    write_description,
+)
+from samira_warp.avatar.storage.frames import FRAMES_FILE, read_frames
+from samira_warp.avatar.storage.older import UNSMOOTHED
 from samira_warp.head import HeadTemplate, read_template, save_template
 from samira_warp.io.files import save_tensors
 from samira_warp.light import Environment, LearnableLight
 from samira_warp.nets import ConditionStatistics
+from samira_warp.support.constants import SMOOTHING
 from samira_warp.support.errors import UserError
 
 TENSORS_FILE = "avatar.safetensors"
@@ -102,6 +111,8 @@ def read_avatar(folder: Path) -> StoredAvatar:
         static_offset=state.pop("static_offset", None),
         uv_size=settings.uv_size,
     )
+    if description.version <= UNSMOOTHED:
+        settings = replace(settings, smoothing=_smoothing(folder, description, canonical))
     return StoredAvatar(
         settings=settings,
         canonical=canonical,
@@ -113,6 +124,19 @@ def read_avatar(folder: Path) -> StoredAvatar:
         light=_light(state, tied=settings.tied_light),
         state=state,
     )
+
+
+def _smoothing(folder: Path, description: Description, canonical: CanonicalHead) -> float:
+    """Metres by which to smooth an avatar that a wider low-pass was learned with, so that it looks as it did.
+
+    0 where the folder does not say at which size it was trained, or has no frames.
+    """
+    resolution = description.record.get("settings", {}).get("resolution")
+    if resolution is None or not (folder / FRAMES_FILE).is_file():
+        return 0.0
+    first = read_frames(folder)[0]
+    camera = first.camera.with_longer_side(resolution)
+    return SMOOTHING**0.5 * canonical.sampling_interval(first.parameters, camera)
 
 
 @contextmanager

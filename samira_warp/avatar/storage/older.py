@@ -4,6 +4,7 @@
 2   keeps the poses of FLAME's five joints in rotation, neck, jaw and eyes
 3   keeps the poses of any joints in rotations
 4   says whether the head blocks the light: before, it never did
+5   says by how much Gaussians are smoothed in space: before, a wider low-pass widened them in the picture
 """
 
 from __future__ import annotations
@@ -13,10 +14,13 @@ from typing import Any
 import torch
 from torch import Tensor
 
-FORMAT = 4
+FORMAT = 5
 """The version that is written."""
 
-READABLE = (1, 2, 3, 4)
+UNSMOOTHED = 4
+"""The last version without smoothing; a reader finds what stands for it (`storage.folder`)."""
+
+READABLE = (1, 2, 3, 4, 5)
 """The versions that are read, oldest first."""
 
 POSE_PARTS = ("rotation", "neck", "jaw", "eyes")
@@ -25,8 +29,9 @@ POSE_PARTS = ("rotation", "neck", "jaw", "eyes")
 
 def settings_of_version(settings: dict[str, Any], version: int) -> dict[str, Any]:
     """An avatar's settings of some version as today's."""
-    before = {"tied_light": False} if version == 1 else {}
+    before: dict[str, Any] = {"tied_light": False} if version == 1 else {}
     before |= {"visibility": False} if version <= 3 else {}
+    before |= {"smoothing": 0.0} if version <= UNSMOOTHED else {}
     return {**settings, **before}
 
 

@@ -8,6 +8,10 @@ covariance is
 and the conic K is its inverse. Working with M rather than Sigma keeps the determinant positive in float32: by
 Lagrange's identity det Sigma' = |m0 x m1|^2 + LOW_PASS (|m0|^2 + |m1|^2) + LOW_PASS^2, a sum of positive
 terms.
+
+The low-pass is the pixel's own square: what a pixel shows is the mean over it. It spreads a Gaussian, so its
+opacity falls by sqrt(det M M' / det Sigma'), and what it adds to the image stays what it was: pictures of
+any size average to the same (Mip-Splatting's argument, Yu et al. 2024).
 """
 
 from __future__ import annotations
@@ -47,6 +51,7 @@ class Projection(NamedTuple):
         depths: (N,) float32, metres along the camera's z axis.
         conics: (N, 3) float32, inverse 2D covariance as (xx, xy, yy), pixels^-2, LOW_PASS added before the
             inversion.
+        opacities: (N,) float32, what is left of them when the low-pass has spread the Gaussians.
         visible: (N,) bool: finite, in front of NEAR_PLANE, and alpha reaches ALPHA_MIN somewhere between the
             image's pixel centres.
     """
@@ -54,13 +59,14 @@ class Projection(NamedTuple):
     means2d: Tensor
     depths: Tensor
     conics: Tensor
+    opacities: Tensor
     visible: Tensor
 
 
 def project(
     means: Tensor, quaternions: Tensor, scales: Tensor, opacities: Tensor, camera: Camera
 ) -> Projection:
-    """Project Gaussians through a pinhole camera; differentiable in means, quaternions and scales.
+    """Project Gaussians through a pinhole camera; differentiable in all but the camera.
 
     In the Jacobian, x/z and y/z are held to 1.3 times the view's half extent (as 3DGS does), because the
     linearisation explodes far off screen; the gradient follows the clamp. Gaussians that cannot be seen, or
@@ -70,7 +76,7 @@ def project(
         means: (N, 3) float32, world space, metres.
         quaternions: (N, 4) float32 (w, x, y, z), of any length but zero.
         scales: (N, 3) float32 standard deviations along the local axes, metres.
-        opacities: (N,) float32 in 0..1; they decide what is visible and get no gradient here.
+        opacities: (N,) float32 in 0..1. A Gaussian without area in the image, a needle or a point, has none.
         camera: The view; its transform is on the same device.
 
     Raises:
@@ -91,7 +97,7 @@ def project_unchecked(
 ) -> Projection:
     """`project`, of tensors that were looked at."""
     return Projection(
-        *_Project.apply(means.contiguous(), quaternions.contiguous(), scales.contiguous(), opacities, camera)
+        *_Project.apply(*(values.contiguous() for values in (means, quaternions, scales, opacities)), camera)
     )
 
 
@@ -101,28 +107,29 @@ class _Project(torch.autograd.Function):
         ctx: Any, means: Tensor, quaternions: Tensor, scales: Tensor, opacities: Tensor, camera: Camera
     ) -> tuple[Tensor, ...]:
         count = means.shape[0]
-        means2d, depths, conics = means.new_zeros(count, 2), means.new_zeros(count), means.new_zeros(count, 3)
+        means2d, conics = means.new_zeros(count, 2), means.new_zeros(count, 3)
+        depths, spread = means.new_zeros(count), means.new_zeros(count)
         visible = torch.zeros(count, dtype=torch.bool, device=means.device)
         pose = camera.world_to_camera.contiguous()
         lens, size = _lens(camera), wp.vec2(float(camera.width), float(camera.height))
-        inputs = (means, quaternions, scales, opacities.contiguous(), pose, *lens, size)
-        launch_range(_project, count, *inputs, means2d, depths, conics, visible, grain=GRAIN)
-        ctx.save_for_backward(means, quaternions, scales, pose, visible)
+        inputs = (means, quaternions, scales, opacities, pose, *lens, size)
+        launch_range(_project, count, *inputs, means2d, depths, conics, spread, visible, grain=GRAIN)
+        ctx.save_for_backward(means, quaternions, scales, opacities, pose, visible)
         ctx.camera = camera
         ctx.mark_non_differentiable(visible)
-        return means2d, depths, conics, visible
+        return means2d, depths, conics, spread, visible
 
     @staticmethod
     @once_differentiable
     def backward(
-        ctx: Any, grad_means2d: Tensor, grad_depths: Tensor, grad_conics: Tensor, _: None
+        ctx: Any, grad_means2d: Tensor, grad_depths: Tensor, grad_conics: Tensor, grad_spread: Tensor, _: None
     ) -> tuple[Tensor | None, ...]:
-        means, quaternions, scales, pose, visible = ctx.saved_tensors
-        grad_outputs = [grad.contiguous() for grad in (grad_means2d, grad_depths, grad_conics)]
-        grad_inputs = [torch.zeros_like(tensor) for tensor in (means, quaternions, scales)]
-        inputs = (means, quaternions, scales, pose, *_lens(ctx.camera), visible)
-        launch_range(_project_adjoint, means.shape[0], *inputs, *grad_outputs, *grad_inputs, grain=GRAIN)
-        return *grad_inputs, None, None
+        *gaussians, pose, visible = ctx.saved_tensors
+        grad_outputs = [grad.contiguous() for grad in (grad_means2d, grad_depths, grad_conics, grad_spread)]
+        grad_inputs = [torch.zeros_like(tensor) for tensor in gaussians]
+        inputs = (*gaussians, pose, *_lens(ctx.camera), visible)
+        launch_range(_project_adjoint, len(visible), *inputs, *grad_outputs, *grad_inputs, grain=GRAIN)
+        return *grad_inputs, None
 
 
 class _Lens(NamedTuple):
@@ -228,6 +235,12 @@ def _determinant(m0: wp.vec3, m1: wp.vec3) -> wp.float32:
 
 
 @wp.func
+def _kept(m0: wp.vec3, m1: wp.vec3) -> wp.float32:
+    """sqrt(det M M' / det (M M' + LOW_PASS I)): what the low-pass leaves of an opacity."""
+    return wp.sqrt(wp.length_sq(wp.cross(m0, m1)) / _determinant(m0, m1))
+
+
+@wp.func
 def _conic(m0: wp.vec3, m1: wp.vec3) -> wp.vec3:
     """K = (M M' + LOW_PASS I)^-1 as (xx, xy, yy)."""
     low_pass = wp.static(LOW_PASS)
@@ -252,14 +265,14 @@ def _project(
     means2d: wp.array[wp.vec2],
     depths: wp.array[wp.float32],
     conics: wp.array[wp.vec3],
+    spread: wp.array[wp.float32],
     visible: wp.array[wp.bool],
 ) -> None:
     i = first + wp.tid()
     W = _view_rotation(pose)
     point = W * means[i] + _view_translation(pose)
-    sigma = visible_sigma(opacities[i])
     # a comparison with NaN is false: written so that NaN culls
-    if not (point[2] > wp.static(NEAR_PLANE) and wp.isfinite(point) and sigma >= 0.0):
+    if not (point[2] > wp.static(NEAR_PLANE) and wp.isfinite(point)):
         return
 
     # the ellipse, before its inversion: a Gaussian that would overflow there is culled
@@ -272,6 +285,12 @@ def _project(
     ):
         return
 
+    # what the low-pass leaves of it has to reach ALPHA_MIN
+    opacity = opacities[i] * _kept(M[0], M[1])
+    sigma = visible_sigma(opacity)
+    if not (sigma >= 0.0):
+        return
+
     # seen only if the ellipse meets the rectangle between the image's outermost pixel centres
     mean = wp.vec2(focal[0] * point[0] / point[2], focal[1] * point[1] / point[2]) + principal
     conic = _conic(M[0], M[1])
@@ -282,6 +301,7 @@ def _project(
     means2d[i] = mean
     depths[i] = point[2]
     conics[i] = conic
+    spread[i] = opacity
     visible[i] = True
 
 
@@ -291,6 +311,7 @@ def _project_adjoint(
     means: wp.array[wp.vec3],
     quaternions: wp.array[wp.vec4],
     scales: wp.array[wp.vec3],
+    opacities: wp.array[wp.float32],
     pose: wp.array2d[wp.float32],
     focal: wp.vec2,
     principal: wp.vec2,
@@ -300,9 +321,11 @@ def _project_adjoint(
     grad_means2d: wp.array[wp.vec2],
     grad_depths: wp.array[wp.float32],
     grad_conics: wp.array[wp.vec3],
+    grad_spread: wp.array[wp.float32],
     grad_means: wp.array[wp.vec3],
     grad_quaternions: wp.array[wp.vec4],
     grad_scales: wp.array[wp.vec3],
+    grad_opacities: wp.array[wp.float32],
 ) -> None:
     i = first + wp.tid()
     if not visible[i]:
@@ -323,7 +346,11 @@ def _project_adjoint(
     grad_conic = grad_conics[i]
     K = wp.mat22(conic[0], conic[1], conic[1], conic[2])
     G = wp.mat22(grad_conic[0], 0.5 * grad_conic[1], 0.5 * grad_conic[1], grad_conic[2])
-    grad_M = -2.0 * (K * G * K) * M
+    kept = _kept(M[0], M[1])
+    grad_opacities[i] = kept * grad_spread[i]
+    # d log kept = (M M')^-1 M - K M, as a product: the two are all but equal where the ellipse is large
+    fading = kept * opacities[i] * grad_spread[i] * wp.static(LOW_PASS)
+    grad_M = -2.0 * (K * G * K) * M + fading * (K * _area_adjoint(M))
 
     # from M = J W R S to scales and quaternion; a quaternion's length has no gradient, for it is normalised
     grad_RS = wp.transpose(J * W) * grad_M
@@ -342,6 +369,15 @@ def _project_adjoint(
         point, focal, grad_means2d[i]
     )
     grad_means[i] = wp.transpose(W) * (grad_point + wp.vec3(0.0, 0.0, grad_depths[i]))
+
+
+@wp.func
+def _area_adjoint(M: mat23) -> mat23:
+    """Gradient (M M')^-1 M of log |m0 x m1|, free of cancellation."""
+    area = wp.cross(M[0], M[1])
+    first = wp.cross(M[1], area) / wp.length_sq(area)
+    second = wp.cross(area, M[0]) / wp.length_sq(area)
+    return mat23(first[0], first[1], first[2], second[0], second[1], second[2])
 
 
 @wp.func

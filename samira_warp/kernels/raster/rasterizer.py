@@ -20,7 +20,7 @@ class ScreenSplats(NamedTuple):
     Attributes:
         means2d: (N, 2) float32, pixels.
         conics: (N, 3) float32, pixels^-2.
-        opacities: (N,) float32 in 0..1.
+        opacities: (N,) float32 in 0..1, as the low-pass left them.
         bins: The tiles that they touch.
         width: W, pixels.
         height: H, pixels.
@@ -84,13 +84,11 @@ def rasterize(
     width, height = camera.width, camera.height
     check_size("camera", width=width, height=height)
     projection = project_unchecked(means, quaternions, scales, opacities, camera)
-    bins = bin_tiles_unchecked(projection, opacities, width=width, height=height)
-    image = blend_unchecked(
-        projection.means2d, projection.conics, opacities, features, bins, width=width, height=height
-    )
-    splats = ScreenSplats(
-        projection.means2d.detach(), projection.conics.detach(), opacities.detach(), bins, width, height
-    )
+    bins = bin_tiles_unchecked(projection, width=width, height=height)
+    seen = (projection.means2d, projection.conics, projection.opacities)
+    image = blend_unchecked(*seen, features, bins, width=width, height=height)
+    means2d, conics, opacities = (values.detach() for values in seen)
+    splats = ScreenSplats(means2d, conics, opacities, bins, width, height)
     return Rasterized(
         image.features, 1.0 - image.transmittance, projection.means2d, projection.visible, splats
     )

@@ -63,16 +63,13 @@ class TileBins(NamedTuple):
         return torch.searchsorted(self.record_offsets[1:], self.records, right=True, out_int32=True)
 
 
-def bin_tiles(
-    projection: Projection, opacities: Tensor, *, width: int, height: int, capacity: int | None = None
-) -> TileBins:
+def bin_tiles(projection: Projection, *, width: int, height: int, capacity: int | None = None) -> TileBins:
     """Sort the Gaussians into the tiles that they can be seen in.
 
     That is where their alpha reaches ALPHA_MIN at some point between the tile's outermost pixel centres.
 
     Args:
         projection: N projected Gaussians.
-        opacities: (N,) float32 in 0..1.
         width: W, pixels.
         height: H, pixels.
         capacity: Room for this many intersections, so that their number need not be read back from the
@@ -87,19 +84,19 @@ def bin_tiles(
         ("projection.means2d", projection.means2d, ("N", 2)),
         ("projection.depths", projection.depths, ("N",)),
         ("projection.conics", projection.conics, ("N", 3)),
+        ("projection.opacities", projection.opacities, ("N",)),
         ("projection.visible", projection.visible, ("N",), torch.bool),
-        ("opacities", opacities, ("N",)),
     )
     if capacity is not None and not (isinstance(capacity, int) and 0 <= capacity < ENTRIES_MAX):
         raise UserError(
             "capacity", expected=f"a whole number of at least 0 and less than {ENTRIES_MAX}", found=capacity
         )
-    return bin_tiles_unchecked(projection, opacities, width=width, height=height, capacity=capacity)
+    return bin_tiles_unchecked(projection, width=width, height=height, capacity=capacity)
 
 
 @torch.no_grad()
 def bin_tiles_unchecked(
-    projection: Projection, opacities: Tensor, *, width: int, height: int, capacity: int | None = None
+    projection: Projection, *, width: int, height: int, capacity: int | None = None
 ) -> TileBins:
     """`bin_tiles`, of tensors and a capacity that were looked at."""
     columns, rows = tile_grid(width, height)
@@ -107,9 +104,8 @@ def bin_tiles_unchecked(
         raise UserError(
             "image", expected=f"fewer than {2**15 * TILE} pixels along each side", found=f"{width} x {height}"
         )
-    ellipses = _Ellipses(
-        projection.means2d.contiguous(), projection.conics.contiguous(), opacities.contiguous()
-    )
+    seen = (projection.means2d, projection.conics, projection.opacities)
+    ellipses = _Ellipses(*(values.contiguous() for values in seen))
     covers = _cover(projection, ellipses, width, height)
     count, order = len(covers.order), covers.order
 

@@ -26,16 +26,21 @@ def project(
     u, v = points[:, 0] / z, points[:, 1] / z
     means2d = torch.stack([camera.fx * u + camera.cx, camera.fy * v + camera.cy], dim=-1)
 
-    covariances = _image_covariances(_rotations(quaternions), scales, pose[:3, :3], u, v, z, camera)
+    M = _image_axes(_rotations(quaternions), scales, pose[:3, :3], u, v, z, camera)
+    covariances = M @ M.mT + LOW_PASS * torch.eye(2).to(z)
+    area = torch.linalg.cross(M[:, 0], M[:, 1]).square().sum(dim=-1)
+    # no slope where there is no area: such a Gaussian is not seen
+    kept = torch.where(area > 0, (torch.where(area > 0, area, 1.0) / torch.linalg.det(covariances)).sqrt(), 0)
     inverse = torch.linalg.inv(covariances)
     conics = torch.stack([inverse[:, 0, 0], inverse[:, 0, 1], inverse[:, 1, 1]], dim=-1)
 
     image = torch.tensor([0.5, 0.5, camera.width - 0.5, camera.height - 0.5]).to(means)
-    visible = in_front & (least_sigma(means2d, conics, image) <= torch.log(opacities / ALPHA_MIN))
+    visible = in_front & (least_sigma(means2d, conics, image) <= torch.log(kept * opacities / ALPHA_MIN))
     return Projection(
         torch.where(visible[:, None], means2d, 0.0),
         torch.where(visible, depths, 0.0),
         torch.where(visible[:, None], conics, 0.0),
+        torch.where(visible, kept * opacities, 0.0),
         visible,
     )
 
@@ -77,10 +82,10 @@ def _rotations(quaternions: Tensor) -> Tensor:
     return torch.stack(rows, dim=-2)
 
 
-def _image_covariances(
+def _image_axes(
     R: Tensor, scales: Tensor, W: Tensor, u: Tensor, v: Tensor, z: Tensor, camera: Camera
 ) -> Tensor:
-    """(N, 2, 2) covariances J W R S S' R' W' J' + LOW_PASS I, pixels squared.
+    """(N, 2, 3) M = J W R S, pixels: M M' is the covariance in the image.
 
     The slopes u = x/z and v = y/z are clamped in J.
     """
@@ -95,5 +100,4 @@ def _image_covariances(
         ],
         dim=-2,
     )
-    M = J @ W @ R * scales[:, None, :]
-    return M @ M.mT + LOW_PASS * torch.eye(2).to(z)
+    return J @ W @ R * scales[:, None, :]

@@ -34,7 +34,7 @@ def rasterize(
     blended = blend(
         projection.means2d,
         projection.conics,
-        opacities,
+        projection.opacities,
         features,
         order,
         width=camera.width,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import torch
-from torch import Tensor
 
 from samira_warp.kernels.raster.projection import Projection
 from samira_warp.kernels.raster.tiles import TILE, TileBins
@@ -11,7 +10,7 @@ from samira_warp.reference.raster.projection import least_sigma
 from samira_warp.support.constants import ALPHA_MIN
 
 
-def bin_tiles(projection: Projection, opacities: Tensor, *, width: int, height: int) -> TileBins:
+def bin_tiles(projection: Projection, *, width: int, height: int) -> TileBins:
     """As `samira_warp.kernels.raster.tiles.bin_tiles` without a capacity.
 
     Every Gaussian meets every tile: O(N T) memory.
@@ -26,7 +25,8 @@ def bin_tiles(projection: Projection, opacities: Tensor, *, width: int, height: 
     depths = torch.where(projection.visible, projection.depths, torch.inf)
     order = torch.argsort(depths, stable=True)
     least = least_sigma(projection.means2d[order, None], projection.conics[order, None], rectangles[None])
-    touched = projection.visible[order, None] & (least <= torch.log(opacities / ALPHA_MIN)[order, None])
+    cut = torch.log(projection.opacities / ALPHA_MIN)
+    touched = projection.visible[order, None] & (least <= cut[order, None])
 
     ranks, tiles = touched.nonzero(as_tuple=True)
     slots = torch.argsort(tiles, stable=True)
