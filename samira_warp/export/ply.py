@@ -1,7 +1,8 @@
 """A .ply of 3D Gaussian splatting, with the standard columns and no others.
 
-Position, normal, spherical harmonics of degree 3 (degree 0 holds the colour, the rest is zero), opacity,
-scale and rotation, all float32, little-endian.
+Position, normal, spherical harmonics of degree 0, which hold the colour, opacity, scale and rotation, all
+float32, little-endian. A colour does not change with the view here, so there are no higher degrees; readers
+tell the degree by the columns.
 """
 
 from __future__ import annotations
@@ -9,7 +10,6 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import torch
 from plyfile import PlyData, PlyElement
 
 from samira_warp.export.splats import Splats
@@ -17,8 +17,8 @@ from samira_warp.export.splats import Splats
 SH_DEGREE_0 = 0.28209479177387814
 """The constant spherical harmonic, 1 / (2 sqrt(pi)): viewers show 0.5 + SH_DEGREE_0 * f_dc."""
 
-SH_REST = 45
-"""Coefficients of degrees 1 to 3 for three channels; some viewers refuse files without them."""
+COMMENTS = ("axes: x to the head's left, y up, z to the front", "unit: metre")
+"""What no column says. Most scenes of 3DGS have y down: some viewers turn every file over (docs/using.md)."""
 
 
 def write_ply(splats: Splats, path: Path) -> None:
@@ -27,17 +27,15 @@ def write_ply(splats: Splats, path: Path) -> None:
     table = np.empty(len(splats.means), dtype=[(name, "f4") for name in columns])
     for name, values in columns.items():
         table[name] = values
-    PlyData([PlyElement.describe(table, "vertex")]).write(str(path))
+    PlyData([PlyElement.describe(table, "vertex")], comments=COMMENTS).write(str(path))
 
 
 def splat_columns(splats: Splats) -> dict[str, np.ndarray]:
     """The columns of the file in their order, each (N,)."""
-    zeros = torch.zeros(len(splats.means), SH_REST)
     groups = {
         ("x", "y", "z"): splats.means,
         ("nx", "ny", "nz"): splats.normals,
         tuple(f"f_dc_{i}" for i in range(3)): (splats.colors - 0.5) / SH_DEGREE_0,
-        tuple(f"f_rest_{i}" for i in range(SH_REST)): zeros,
         ("opacity",): splats.opacity_logits[:, None],
         tuple(f"scale_{i}" for i in range(3)): splats.scales.log(),
         tuple(f"rot_{i}" for i in range(4)): splats.quaternions,

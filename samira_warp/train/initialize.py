@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import torch
@@ -22,6 +23,11 @@ DENSE_FACTOR = 3.0
 SPARSE_GROUPS = ("left_eyeball", "right_eyeball")
 SPARSE_FACTOR = 0.5
 """Most of an eyeball is never seen."""
+
+IRIS_FACTOR = 8.0
+IRIS_DEGREES = 40.0
+"""About an eyeball's axis, forwards: the iris (30 degrees) and its edge, round, and looked at more closely
+than anything else."""
 
 SIZE_IN_SPACINGS = 0.75
 """Initial standard deviation along the surface, in spacings: neighbours overlap enough to leave no holes."""
@@ -180,13 +186,21 @@ def initial_gaussians(
 
 
 def _density_factors(canonical: CanonicalHead) -> torch.Tensor:
-    """(F,) relative density: a face counts as in a group when at least two of its corners are."""
+    """(F,) relative density: a face counts as in a group, or an iris, when at least two of its corners do."""
     factors = torch.ones(len(canonical.vertices), device=canonical.vertices.device)
     for groups, factor in ((DENSE_GROUPS, DENSE_FACTOR), (SPARSE_GROUPS, SPARSE_FACTOR)):
         for group in groups:
             members = canonical.template.masks.get(group)
             if members is not None:
                 factors[torch.from_numpy(members).to(factors.device).long()] = factor
+    for group in SPARSE_GROUPS:
+        members = canonical.template.masks.get(group)
+        if members is not None:
+            ids = torch.from_numpy(members).to(factors.device).long()
+            ball = canonical.vertices[ids]
+            middle = 0.5 * (ball.amin(dim=0) + ball.amax(dim=0))
+            outwards = torch.nn.functional.normalize(ball - middle, dim=1)
+            factors[ids[outwards[:, 2] > math.cos(math.radians(IRIS_DEGREES))]] = IRIS_FACTOR
     return factors[canonical.topology.faces.long()].median(dim=1).values
 
 

@@ -1,3 +1,4 @@
+import math
 from dataclasses import replace
 
 import pytest
@@ -33,8 +34,8 @@ def placed(*, count=COUNT, smooth=True, seed=0, albedo=None, device="cpu"):
 
 
 def factors(canonical):
-    """(F,) three for faces of eye regions and lips, a half for eyeballs, one for the rest: by two corners of
-    three."""
+    """(F,) three for faces of eye regions and lips, eight for irises, a half for the rest of eyeballs and one
+    for all else: by two corners of three."""
     groups = canonical.template.masks
     result = torch.ones(len(canonical.topology.faces))
     for names, factor in (
@@ -45,6 +46,13 @@ def factors(canonical):
         for name in names:
             inside[torch.from_numpy(groups[name]).long()] = 1
         result[inside[canonical.topology.faces.cpu().long()].sum(1) >= 2] = factor
+    vertices, iris = canonical.vertices.cpu(), torch.zeros(len(canonical.vertices), dtype=torch.long)
+    for name in ("left_eyeball", "right_eyeball"):
+        for vertex in groups[name].tolist():
+            ball = vertices[torch.from_numpy(groups[name]).long()]
+            way = vertices[vertex] - (ball.amin(0) + ball.amax(0)) / 2
+            iris[vertex] = int(math.degrees(math.acos(way[2] / way.norm())) < 40.0)
+    result[iris[canonical.topology.faces.cpu().long()].sum(1) >= 2] = 8.0
     return result
 
 
