@@ -187,9 +187,7 @@ class ShadowCaster(NamedTuple):
         arrival = self.occluder.arrival(self.occluder.occlude(head), light, camera)
         roughness = torch.full((len(arrival), 1), SKIN_ROUGHNESS)
         values = gaussian_arrival(arrival, roughness)
-        seen = head.vertices @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
-        focal, center = seen.new_tensor([camera.fx, camera.fy]), seen.new_tensor([camera.cx, camera.cy])
-        points = torch.cat([focal * seen[:, :2] / seen[:, 2:] + center, seen[:, 2:]], dim=1)[None]
+        points = camera.image_points(head.vertices)[None]
         raster = rasterize_mesh(points, self.canonical.topology, width=camera.width, height=camera.height)
         pixels = interpolate(values[None].contiguous(), raster, self.canonical.topology)[0]
         nearest = distance_transform_edt(

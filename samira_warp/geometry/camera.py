@@ -56,6 +56,12 @@ class Camera:
         """The same camera with its transform on ``device``."""
         return replace(self, world_to_camera=self.world_to_camera.to(device))
 
+    def image_points(self, points: Tensor) -> Tensor:
+        """(..., 3) x and y in pixels, and depth in metres, of (..., 3) points before the camera, world space."""
+        seen = points @ self.world_to_camera[:3, :3].T + self.world_to_camera[:3, 3]
+        focal, center = seen.new_tensor([self.fx, self.fy]), seen.new_tensor([self.cx, self.cy])
+        return torch.cat([focal * seen[..., :2] / seen[..., 2:] + center, seen[..., 2:]], dim=-1)
+
     @property
     def center(self) -> Tensor:
         """(3,) camera centre in world space, metres."""

@@ -126,9 +126,9 @@ def initial_albedo(
     return unwrap_views(found, canonical) if found else reference
 
 
-def spread_out(indices: Sequence[int]) -> list[int]:
-    """ALBEDO_VIEWS of some frames, evenly spaced; all of them where they are fewer."""
-    count = min(ALBEDO_VIEWS, len(indices))
+def spread_out(indices: Sequence[int], most: int = ALBEDO_VIEWS) -> list[int]:
+    """So many of some frames, evenly spaced; all of them where they are fewer."""
+    count = min(most, len(indices))
     return [indices[place * len(indices) // count] for place in range(count)]
 
 

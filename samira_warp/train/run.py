@@ -154,11 +154,6 @@ def _run_to_its_end(trainer: Trainer, record: dict[str, Any]) -> bool:
 def _finish(trainer: Trainer, lpips: Lpips | str, record: dict[str, Any]) -> None:
     """Write the avatar and score it: words on standard error, a JSON line of scores on standard output."""
     settings = trainer.plan.settings
-    guessed, count = trainer.settle(), len(trainer.avatar.gaussians)
-    print(
-        f"{guessed} of {count} Gaussians are in no picture: laid on the surface, in the colours next to them",
-        file=sys.stderr,
-    )
     replace_folder(settings.out / AVATAR_FOLDER, lambda folder: write_result(folder, trainer, record))
     try:
         results = score(trainer, lpips)

@@ -108,6 +108,9 @@ class Schedule:
     """Share of the run between density control events."""
     density_pause: float = 0.05
     """No event for this share after stage two begins: normals and responses settle first."""
+    settling: float = 0.75
+    """At this share of the run what no picture saw is guessed (`train.unseen`): no Gaussian is added any more,
+    and what is left of the run fits the outlines."""
     opacity_reset_from: int = 20_000
     """Opacity is reset only in runs longer than this many steps; a shorter run never recovers."""
     opacity_reset_every: int = 3_000
@@ -145,6 +148,10 @@ class Schedule:
     def density_ends(self, step: int) -> bool:
         """Whether this is the last step of the density window."""
         return self.density_window(step) and not self.density_window(step + 1)
+
+    def settles(self, step: int) -> bool:
+        """Whether what no picture saw is guessed before this step."""
+        return step == round(self.settling * self.steps)
 
     def opacity_reset(self, step: int) -> bool:
         """Whether opacities are reset after this step."""

@@ -28,10 +28,13 @@ from samira_warp.train.optimizer import make_optimizer, replace_gaussians, reset
 from samira_warp.train.plan import TrainPlan
 from samira_warp.train.skin import skin_faces
 from samira_warp.train.tracking import TrackedParameters
-from samira_warp.train.unseen import guess_unseen, seen_pixels
+from samira_warp.train.unseen import guess_unseen, look
 
 PREFETCH = 8
 """Frames decoded ahead of the step that needs them."""
+
+SETTLING_VIEWS = 48
+"""Training frames, evenly spaced, that tell what was seen."""
 
 
 class Trainer:
@@ -93,18 +96,18 @@ class Trainer:
         return path
 
     def settle(self) -> int:
-        """Guess what no training picture saw, when the last step is done (`train.unseen`).
+        """Guess what no training picture saw (`train.unseen`).
 
         Returns:
             How many Gaussians are guesses.
         """
-        rows = spread_out(range(len(self.sequence.train)))
+        rows = spread_out(range(len(self.sequence.train)), SETTLING_VIEWS)
         frames = [(row, self.sequence.frames[self.sequence.train[row]]) for row in rows]
         views = (
             (self.tracked.frame(row, frame.parameters.to(self.device)), self.camera(frame))
             for row, frame in frames
         )
-        return guess_unseen(self.avatar, seen_pixels(self.avatar, views))
+        return guess_unseen(self.avatar, look(self.avatar, views))
 
     def train_step(self) -> tuple[Rendering, Target, dict[str, torch.Tensor]]:
         """One frame forward, backward and updated.
@@ -116,6 +119,8 @@ class Trainer:
         if self.schedule.extended_at(self.step):
             # what was gathered before belongs to a window that had closed
             self.density = DensityStatistics(len(self.avatar.gaussians), self.device)
+        if self.schedule.settles(self.step):
+            self.settle()
         row = self._row(self.step)
         stage_two = "no-two-stage" in self.settings.ablate or self.schedule.in_stage_two(self.step)
         self.avatar.gaussians.normals.requires_grad_(stage_two)

@@ -1,38 +1,56 @@
 """What no training picture saw, made a good guess: the surface of the mesh, in the colours next to it.
 
 Gaussians that no picture shows get no gradient: they stay as they were first thrown, half transparent, in
-whatever colour an unwrapped picture had nearest, and what borders on them was pulled about from one side
-only. When training is done they become discs on their triangles, opaque, and take over what lies nearest on
-the surface and was seen, of this side or, mirrored, of the other.
+whatever colour an unwrapped picture had nearest; and what is seen at a grazing angle alone is pulled about
+from one side only. Late in training these become discs in their triangles' planes and take over what lies
+nearest on the surface and was seen, of this side or, mirrored, of the other; the steps that are left fit the
+outlines that they take part in.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from samira_warp.avatar import Avatar, Gaussians
+from samira_warp.avatar import Avatar, Motion
+from samira_warp.avatar.gbuffer import GBuffer
 from samira_warp.geometry.camera import Camera
 from samira_warp.geometry.mesh import face_areas
 from samira_warp.head import FrameParameters
+from samira_warp.kernels.mesh.mesh_raster import rasterize_mesh
 from samira_warp.kernels.mesh.triangle_frames import triangle_frames
 from samira_warp.kernels.raster.rasterizer import blend_again
 from samira_warp.train.density import spacing
 from samira_warp.train.initialize import FLATNESS, SIZE_IN_SPACINGS
 from samira_warp.train.neighbours import neighbourhood, rest_places
 
-SEEN_PIXELS = 1.0
-"""Of all the pictures that are looked at, a Gaussian's share of fewer pixels than this is a glimpse."""
+FACING = 0.2
+"""A triangle was seen where some picture shows it by so many of the pixels that it would have face on: it was
+then turned away by less than 78 degrees, and not hidden but for a corner."""
 
-OPACITY = 0.95
-"""Of what is guessed: neighbours overlap, and nothing shines through."""
+MADE_UP = 1.0
+"""Pixels of all pictures that a Gaussian has to make up to lend others what it has."""
+
+SOLID = 0.5
+"""Coverage above which a seen triangle is the head's, and below which what is next to it is left out: mattes
+end at the shoulders where meshes go on."""
+
+OPACITY = 0.7
+"""Of what is guessed: three and a half discs overlap in a place, and less than two per cent shine through."""
+
+EMPTY = 0.1
+"""Coverage below which a seen triangle is none of the head's, whatever a faint Gaussian on it adds."""
+
+LEFT_OUT = 1e-3
+"""Opacity of what mattes leave out."""
 
 DONORS = 16
-"""Seen Gaussians whose values are mixed, each by the inverse square of its distance."""
+"""Seen Gaussians whose values are mixed, each by its opacity over the square of its distance."""
 
 BORROWED = ("albedo_logits", "roughness_logits", "specular_logits")
 """What is taken over."""
@@ -41,44 +59,89 @@ _LEAST_SQUARE = 1e-8
 """Square metres added to a squared distance: a tenth of a millimetre is next to nothing."""
 
 
-def seen_pixels(avatar: Avatar, views: Iterable[tuple[FrameParameters, Camera]]) -> Tensor:
-    """(N,) how many pixels each Gaussian makes up, summed over views."""
-    total = torch.zeros(len(avatar.gaussians), device=avatar.gaussians.means.device)
+class Seen(NamedTuple):
+    """What some pictures saw of an avatar.
+
+    Attributes:
+        pixels: (N,) how many pixels each Gaussian makes up, in all.
+        facing: (F,) the most of its pixels, face on, that a triangle has in a picture.
+        coverage: (F,) mean alpha where a triangle is seen; 0 where it is not.
+    """
+
+    pixels: Tensor
+    facing: Tensor
+    coverage: Tensor
+
+
+def look(avatar: Avatar, views: Iterable[tuple[FrameParameters, Camera]]) -> Seen:
+    """See what some views see of an avatar."""
+    device, count = avatar.gaussians.means.device, len(avatar.canonical.topology.faces)
+    pixels = torch.zeros(len(avatar.gaussians), device=device)
+    facing, shown, covered = (torch.zeros(count, device=device) for _ in range(3))
     for parameters, camera in views:
         with torch.no_grad():
-            splats = avatar.rasterize(avatar.move(parameters), camera).splats
-        share = torch.ones(len(total), 1, device=total.device, requires_grad=True)
-        (weights,) = torch.autograd.grad(blend_again(splats, share).sum(), share)
-        total += weights[:, 0]
-    return total
+            motion = avatar.move(parameters)
+            gbuffer = avatar.rasterize(motion, camera)
+            ids = _faces_seen(avatar, motion, camera)
+            inside = ids >= 0
+            ones = torch.bincount(ids[inside], minlength=count).to(facing)
+            areas = face_areas(motion.head.vertices, avatar.canonical.topology.faces)
+            squares = areas / avatar.canonical.sampling_interval(parameters, camera) ** 2
+            facing = torch.maximum(facing, ones / squares.clamp(min=1.0))
+            shown += ones
+            covered += torch.bincount(ids[inside], gbuffer.alpha[..., 0][inside], minlength=count)
+        pixels += _shares(gbuffer, len(pixels))
+    return Seen(pixels, facing, covered / shown.clamp(min=1.0))
+
+
+def _faces_seen(avatar: Avatar, motion: Motion, camera: Camera) -> Tensor:
+    """(H, W) id of the triangle that each pixel of a view shows, -1 where none."""
+    points = camera.image_points(motion.head.vertices)[None]
+    topology = avatar.canonical.topology
+    return rasterize_mesh(points, topology, width=camera.width, height=camera.height).face[0].long()
+
+
+def _shares(gbuffer: GBuffer, count: int) -> Tensor:
+    """(N,) pixels that each Gaussian makes up: the adjoint of blending ones."""
+    ones = torch.ones(count, 1, device=gbuffer.alpha.device, requires_grad=True)
+    (shares,) = torch.autograd.grad(blend_again(gbuffer.splats, ones).sum(), ones)
+    return shares[:, 0]
 
 
 @torch.no_grad()
-def guess_unseen(avatar: Avatar, seen: Tensor) -> int:
+def guess_unseen(avatar: Avatar, seen: Seen) -> int:
     """Make discs on the surface of what was not seen.
 
     Args:
         avatar: Its Gaussians are changed in place.
-        seen: (N,) from `seen_pixels`.
+        seen: What training saw of it.
 
     Returns:
         How many Gaussians are guesses now.
     """
     gaussians, canonical = avatar.gaussians, avatar.canonical
-    glimpsed = seen >= SEEN_PIXELS
+    faces = gaussians.faces.long()
+    there = (seen.facing >= FACING)[faces]
     neighbours = neighbourhood(gaussians, canonical).table.indices.long()
-    # what lies below a seen surface is hidden by it, not unseen
-    unseen = ~(glimpsed | glimpsed[neighbours].any(dim=1))
-    if not unseen.any() or not glimpsed.any():
+    # small triangles slip between pixels: where most neighbours were seen, so was this
+    unseen = ~there & (there[neighbours].float().mean(dim=1) <= 0.5)
+    solid = seen.coverage[faces] > SOLID
+    donors = there & solid & (seen.pixels >= MADE_UP)
+    if not unseen.any() or not donors.any():
         return 0
-    _lay_on_surface(avatar, unseen)
-    _, places = rest_places(gaussians, canonical)
-    _borrow(gaussians, places[:, :6], unseen=unseen, donors=glimpsed)
+    places = rest_places(gaussians, canonical)[1][:, :6]
+    _lay_on_surface(avatar, unseen, _borrow(avatar, places, unseen, donors))
+    nearest = cKDTree(places[there.cpu().numpy()]).query(places[unseen.cpu().numpy()])[1]
+    is_head = solid[there][torch.from_numpy(nearest).to(solid.device)]
+    opacities = torch.where(is_head, OPACITY, LEFT_OUT).to(gaussians.opacity_logits)
+    gaussians.opacity_logits[unseen] = torch.logit(opacities)
+    empty = there & (seen.coverage[faces] < EMPTY)
+    gaussians.opacity_logits[empty] = torch.logit(gaussians.opacity_logits.new_tensor(LEFT_OUT))
     return int(unseen.sum())
 
 
-def _lay_on_surface(avatar: Avatar, which: Tensor) -> None:
-    """Make discs of some Gaussians as large as their share of the triangle, in its plane."""
+def _lay_on_surface(avatar: Avatar, which: Tensor, heights: Tensor) -> None:
+    """Make discs of some Gaussians, as large as their share of the triangle, at (M,) heights in metres."""
     gaussians, canonical = avatar.gaussians, avatar.canonical
     faces = gaussians.faces.long()
     areas = face_areas(canonical.vertices, canonical.topology.faces)
@@ -86,33 +149,38 @@ def _lay_on_surface(avatar: Avatar, which: Tensor) -> None:
     spread = (SIZE_IN_SPACINGS * spacing(faces, areas) / scales)[:, None]
     discs = torch.cat([spread, FLATNESS * spread, spread], dim=1).log()
     gaussians.log_scales[which] = discs[which]
-    gaussians.means[which, 1] = 0.0
+    gaussians.means[which, 1] = heights / scales[which]
     gaussians.quaternions[which] = gaussians.quaternions.new_tensor([1.0, 0.0, 0.0, 0.0])
     gaussians.normals[which] = gaussians.initial_normals[which]
-    gaussians.opacity_logits[which] = torch.logit(gaussians.opacity_logits.new_tensor(OPACITY))
 
 
-def _borrow(gaussians: Gaussians, places: np.ndarray, *, unseen: Tensor, donors: Tensor) -> None:
-    """Mix into the unseen what the nearest of the seen have, of either side.
+def _borrow(avatar: Avatar, places: np.ndarray, unseen: Tensor, donors: Tensor) -> Tensor:
+    """Give the unseen what the nearest donors of either side have, in the mean.
 
     Args:
-        gaussians: Changed in place.
+        avatar: Its Gaussians' BORROWED are changed in place.
         places: (N, 6) positions and normals at rest; x is to the side.
         unseen: (N,) bool.
         donors: (N,) bool.
+
+    Returns:
+        (M,) heights above their triangles, metres: an outline is where it should be when what makes it lies a
+        little below the surface.
     """
+    gaussians, canonical = avatar.gaussians, avatar.canonical
     ids = donors.nonzero()[:, 0].cpu().numpy()
     mirrored = places[ids] * np.array([-1.0, 1.0, 1.0, -1.0, 1.0, 1.0])
-    count = min(DONORS, 2 * len(ids))
-    distances, found = cKDTree(np.concatenate([places[ids], mirrored])).query(
-        places[unseen.cpu().numpy()], k=range(1, count + 1)
-    )
-    weights = 1.0 / (distances**2 + _LEAST_SQUARE)
-    weights /= weights.sum(axis=1, keepdims=True)
+    nearest = range(1, min(DONORS, 2 * len(ids)) + 1)
+    tree = cKDTree(np.concatenate([places[ids], mirrored]))
+    distances, found = tree.query(places[unseen.cpu().numpy()], k=nearest)
     sources = torch.from_numpy(np.concatenate([ids, ids])[found]).to(unseen.device)
-    shares = torch.from_numpy(weights).to(gaussians.means)
+    shares = torch.from_numpy(1.0 / (distances**2 + _LEAST_SQUARE)).to(gaussians.means)
+    shares = shares * gaussians.opacities[sources]
+    shares = (shares / shares.sum(dim=1, keepdim=True))[:, :, None]
     for name in BORROWED:
         values = getattr(gaussians, name)
         flat = values.reshape(len(values), -1)
-        mixed = (shares[:, :, None] * flat[sources]).sum(dim=1)
-        values[unseen] = mixed.reshape(-1, *values.shape[1:])
+        values[unseen] = (shares * flat[sources]).sum(dim=1).reshape(-1, *values.shape[1:])
+    scales = triangle_frames(canonical.vertices, canonical.topology).scale[gaussians.faces.long()]
+    heights = gaussians.means[:, 1] * scales
+    return (shares[:, :, 0] * heights[sources]).sum(dim=1)

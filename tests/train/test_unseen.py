@@ -2,81 +2,112 @@ import pytest
 import torch
 from subjects import camera, parameters, small_avatar
 
+from samira_warp.kernels.mesh.triangle_frames import triangle_frames
 from samira_warp.train.initialize import FLATNESS
-from samira_warp.train.unseen import BORROWED, OPACITY, guess_unseen, seen_pixels
+from samira_warp.train.unseen import BORROWED, LEFT_OUT, OPACITY, Seen, guess_unseen, look
+
+COUNT = 1500
 
 
 @pytest.fixture
 def avatar(device):
-    return small_avatar(gaussians=1500, residual=False, device=device)
-
-
-def frontal(avatar):
-    rest = parameters(0, turn=0.0).to(avatar.gaussians.means.device)
-    return rest, camera(48, device=avatar.gaussians.means.device)
+    return small_avatar(gaussians=COUNT, residual=False, device=device)
 
 
 def middles(avatar):
-    """(N, 3) of the Gaussians' triangles at rest."""
+    """(F, 3) of the triangles at rest."""
     canonical = avatar.canonical
-    return canonical.vertices[canonical.topology.faces[avatar.gaussians.faces.long()].long()].mean(1)
+    return canonical.vertices[canonical.topology.faces.long()].mean(1)
 
 
-def test_shares_of_pixels_add_up_to_coverage(avatar):
-    view = frontal(avatar)
+def seen_where(avatar, faces, *, coverage=1.0):
+    """As if the pictures had shown those triangles, and each of their Gaussians in a dozen pixels."""
+    facing = faces.float()
+    return Seen(12.0 * facing[avatar.gaussians.faces.long()], facing, coverage * facing)
+
+
+def copied(avatar):
+    return {name: values.clone() for name, values in avatar.gaussians.tensors().items()}
+
+
+def test_shares_of_pixels_add_up_to_coverage_and_only_the_front_is_seen(avatar, device):
+    view = parameters(0, turn=0.0, device=device), camera(192, device=device)
     with torch.no_grad():
-        alpha = avatar.rasterize(avatar.move(view[0]), view[1]).alpha
-    seen = seen_pixels(avatar, [view, view])
+        motion = avatar.move(view[0])
+        alpha = avatar.rasterize(motion, view[1]).alpha
+    seen = look(avatar, [view, view])
     # float32 sums of some thousand terms
-    assert float(seen.sum()) == pytest.approx(2 * float(alpha.sum()), rel=1e-4)
-    assert (seen >= 0).all()
+    assert float(seen.pixels.sum()) == pytest.approx(2 * float(alpha.sum()), rel=1e-4)
+    corners = motion.head.vertices[avatar.canonical.topology.faces.long()]
+    normals = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    slant = torch.nn.functional.normalize(normals, dim=1)[:, 2]
+    large = normals.norm(dim=1) > normals.norm(dim=1).median()
+    assert (seen.facing > 0.2).sum() > 20
+    # a triangle that is turned away by an angle shows its cosine of its pixels, and half of those at its edge
+    assert (seen.facing[large] <= slant[large].abs() + 0.5).all()
+    assert seen.coverage.max() <= 1.0 + 1e-5
+    assert (seen.coverage[seen.facing == 0] == 0).all()
 
 
-def test_the_seen_stay_and_the_unseen_lie_on_the_surface(avatar):
+def test_the_seen_stay_and_the_unseen_become_discs(avatar):
     gaussians = avatar.gaussians
     with torch.no_grad():
         gaussians.means.add_(0.3)
-    before = {name: values.clone() for name, values in gaussians.tensors().items()}
-    seen = torch.zeros(1500, device=gaussians.means.device)
-    front = middles(avatar)[:, 2]
-    seen[front > front.median()] = 5.0
-    guessed = guess_unseen(avatar, seen)
-    changed = (gaussians.means != before["means"]).any(dim=1)
+    before, depth = copied(avatar), middles(avatar)[:, 2]
+    front = depth > depth.median()
+    guessed = guess_unseen(avatar, seen_where(avatar, front))
+    changed = (gaussians.log_scales != before["log_scales"]).any(dim=1)
+    donors = front[gaussians.faces.long()]
     assert int(changed.sum()) == guessed
-    assert 300 < guessed < 750
-    assert not (changed & (seen > 0)).any()
+    assert 0.2 * COUNT < guessed < 0.8 * COUNT
+    assert not (changed & donors).any()
     for name, values in before.items():
         assert torch.equal(getattr(gaussians, name)[~changed], values[~changed]), name
-    assert (gaussians.means[changed, 1] == 0).all()
-    torch.testing.assert_close(gaussians.opacities[changed], torch.full_like(seen[changed], OPACITY))
+    torch.testing.assert_close(
+        gaussians.opacities[changed], torch.full((guessed,), OPACITY, device=donors.device)
+    )
     scales = gaussians.scales[changed]
     torch.testing.assert_close(scales[:, 1], FLATNESS * scales[:, 0])
-    for name in BORROWED:
-        donors = before[name][seen > 0].reshape(int((seen > 0).sum()), -1)
-        taken = getattr(gaussians, name).detach()[changed].reshape(guessed, -1)
+    face_scales = triangle_frames(avatar.canonical.vertices, avatar.canonical.topology).scale
+    heights = gaussians.means[:, 1] * face_scales[gaussians.faces.long()]
+    borrowed = {name: getattr(gaussians, name).detach() for name in BORROWED}
+    for name, values in {**borrowed, "heights": heights.detach()}.items():
+        lent, taken = (values[which].reshape(int(which.sum()), -1) for which in (donors, changed))
         # means of what was seen are within what was seen
-        assert (taken <= donors.amax(dim=0) + 1e-4).all()
-        assert (taken >= donors.amin(dim=0) - 1e-4).all()
+        assert (taken <= lent.amax(dim=0) + 1e-4).all(), name
+        assert (taken >= lent.amin(dim=0) - 1e-4).all(), name
 
 
 def test_one_side_takes_over_the_others_colours(avatar):
-    """The left half was seen and is red towards its ear: the right half comes to be so, too."""
-    gaussians = avatar.gaussians
-    side = middles(avatar)[:, 0]
+    """Only one half was seen, the brighter the farther to the side: the other comes to be so, too."""
+    gaussians, across = avatar.gaussians, middles(avatar)[:, 0]
+    side = across[gaussians.faces.long()]
+    truth = (40.0 * side.abs())[:, None].expand(-1, 3)
     with torch.no_grad():
-        gaussians.albedo_logits.copy_((40.0 * side.abs())[:, None].expand(-1, 3))
-    seen = torch.where(side > 0, 5.0, 0.0)
-    truth = gaussians.albedo_logits.detach().clone()
-    with torch.no_grad():
-        gaussians.albedo_logits[side <= 0] = -4.0
-    guess_unseen(avatar, seen)
+        gaussians.albedo_logits.copy_(torch.where(side[:, None] > 0, truth, -4.0))
+    guess_unseen(avatar, seen_where(avatar, across > 0))
     far = side < -0.02
     error = (gaussians.albedo_logits.detach()[far] - truth[far]).abs().mean()
     assert float(error) < 0.1 * float(truth[far].mean())
 
 
+def test_what_mattes_leave_out_stays_left_out(avatar):
+    """Triangles that were seen and covered by nothing lend what is next to them nothing."""
+    gaussians, height = avatar.gaussians, middles(avatar)[:, 1]
+    low, middle = height.quantile(0.2), height.quantile(0.5)
+    seen = seen_where(avatar, height > low)
+    seen = seen._replace(coverage=torch.where(height > middle, 1.0, 0.0))
+    place = height[gaussians.faces.long()]
+    guess_unseen(avatar, seen)
+    opacities = gaussians.opacities.detach()
+    torch.testing.assert_close(opacities[(place > low) & (place < middle)].max().item(), LEFT_OUT)
+    assert (opacities[place < low - 0.02] <= 1.01 * LEFT_OUT).all()
+    assert (opacities[place > middle] > 0.5).all()
+
+
 def test_nothing_seen_or_all_seen_changes_nothing(avatar):
-    before = {name: values.clone() for name, values in avatar.gaussians.tensors().items()}
-    for seen in (0.0, 5.0):
-        assert guess_unseen(avatar, torch.full((1500,), seen, device=avatar.gaussians.means.device)) == 0
+    before, faces = copied(avatar), len(avatar.canonical.topology.faces)
+    for is_seen in (False, True):
+        everywhere = torch.full((faces,), is_seen, device=avatar.gaussians.means.device)
+        assert guess_unseen(avatar, seen_where(avatar, everywhere)) == 0
     assert all(torch.equal(getattr(avatar.gaussians, name), values) for name, values in before.items())
