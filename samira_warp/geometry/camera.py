@@ -57,7 +57,7 @@ class Camera:
         return replace(self, world_to_camera=self.world_to_camera.to(device))
 
     def image_points(self, points: Tensor) -> Tensor:
-        """(..., 3) x and y in pixels, and depth in metres, of (..., 3) points before the camera, world space."""
+        """(..., 3) x and y in pixels, and depth in metres, of (..., 3) points of the world."""
         seen = points @ self.world_to_camera[:3, :3].T + self.world_to_camera[:3, 3]
         focal, center = seen.new_tensor([self.fx, self.fy]), seen.new_tensor([self.cx, self.cy])
         return torch.cat([focal * seen[..., :2] / seen[..., 2:] + center, seen[..., 2:]], dim=-1)

@@ -109,8 +109,8 @@ class Schedule:
     density_pause: float = 0.05
     """No event for this share after stage two begins: normals and responses settle first."""
     settling: float = 0.75
-    """At this share of the run what no picture saw is guessed (`train.unseen`): no Gaussian is added any more,
-    and what is left of the run fits the outlines."""
+    """At this share of the run what no picture saw is guessed (`train.unseen`): no Gaussian is added any
+    more, and what is left of the run fits the outlines."""
     opacity_reset_from: int = 20_000
     """Opacity is reset only in runs longer than this many steps; a shorter run never recovers."""
     opacity_reset_every: int = 3_000
