@@ -65,7 +65,9 @@ def plan_shots(
         return Picture(name, seen_by, 0.0 if light is None else light.degrees(index))
 
     if not held:
-        each = [(picture(frame, frame.name, index),) for index, frame in enumerate(frames)]
+        each: list[tuple[Picture, ...]] = [
+            (picture(frame, frame.name, index),) for index, frame in enumerate(frames)
+        ]
     else:
         (frame,), count = frames, max(round(turn.pictures) for turn in (light, camera) if turn is not None)
         each = [tuple(picture(frame, f"{frame.name}_{index:04d}", index) for index in range(count))]

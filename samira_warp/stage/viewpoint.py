@@ -133,9 +133,11 @@ def parse_viewpoint(text: str) -> tuple[float, float, float | None]:
     )
     try:
         yaw, pitch, *more = [float(word) for word in text.split(",")]
-        (distance,) = more or [None]
+        if len(more) > 1:
+            raise ValueError
     except ValueError:
         raise UserError("--camera", expected=expected, found=repr(text)) from None
+    distance = more[0] if more else None
     fits = math.isfinite(yaw) and -HIGHEST <= pitch <= HIGHEST
     if not fits or not (distance is None or NEAREST <= distance <= FARTHEST):
         raise UserError("--camera", expected=expected, found=repr(text))
