@@ -33,11 +33,13 @@ class Channel:
 
     Attributes:
         width: Numbers per point: 1, or 3 for a colour or a direction.
-        low: The least value; where a picture of it is black, and where edits stop.
+        low: The least value; where edits stop.
         high: The greatest value, likewise.
         blend: What several Gaussians in one pixel come to.
-        drawn: How its layer shows it: a "color" as display values on white, an "amount" from low to high on
-            white, a "balance" from low to high on the grey between them.
+        drawn: How its layer shows it: a "color" as display values on white, an "amount" from black to white
+            on white, a "balance" likewise on the grey between them.
+        scale: The values at which a picture of it is black and white, where most of its range is never
+            reached; None is from low to high.
         edited: What a `MaterialEdit` may set it to, a "number" or a "color"; None cannot be edited.
         neutral: The value that leaves the shading as it is, for a surface that has none of its own; None has
             to be given.
@@ -49,6 +51,7 @@ class Channel:
     high: float = 1.0
     blend: Blend = "mean"
     drawn: Literal["color", "amount", "balance"] = "amount"
+    scale: tuple[float, float] | None = None
     edited: Literal["number", "color"] | None = None
     neutral: float | None = None
     of: Literal["surface", "light"] = "surface"
@@ -68,11 +71,15 @@ class Surface:
     """Unit normals n in world space; zero where a pixel shows nothing."""
     roughness: Annotated["Tensor", Channel(1, edited="number")]
     """Perceptual roughness rho; its square is GGX's alpha."""
-    specular: Annotated["Tensor", Channel(1, edited="number")]
-    """Reflectance f at normal incidence."""
-    response_diffuse: Annotated["Tensor", Channel(1, 0.5, 1.5, drawn="balance", neutral=1.0)]
-    """Factor tau^d on the diffuse light (Eq. response_shading)."""
-    response_specular: Annotated["Tensor", Channel(1, 0.5, 1.5, drawn="balance", neutral=1.0)]
+    specular: Annotated["Tensor", Channel(1, scale=(0.0, 0.1), edited="number")]
+    """Reflectance f at normal incidence; skin's is about 0.035."""
+    response_diffuse: Annotated[
+        "Tensor", Channel(1, 0.5, 1.5, drawn="balance", scale=(0.95, 1.05), neutral=1.0)
+    ]
+    """Factor tau^d on the diffuse light (Eq. response_shading); what is learned is a few per cent from 1."""
+    response_specular: Annotated[
+        "Tensor", Channel(1, 0.5, 1.5, drawn="balance", scale=(0.95, 1.05), neutral=1.0)
+    ]
     """Factor tau^s on the specular light."""
     visibility: Annotated["Tensor", Channel(3, neutral=1.0, of="light")]
     """Share of the diffuse light that no other part of the head blocks, by colour."""

@@ -37,6 +37,7 @@ from samira_warp.light import (
 )
 from samira_warp.nets import Conditions, ConditionStatistics, MotionNetwork
 from samira_warp.support.errors import UserError
+from samira_warp.support.tone_names import ToneMap
 from samira_warp.surface import Surface
 
 DISPLACEMENT_UNIT = 0.01
@@ -66,18 +67,27 @@ class Rendering:
     Attributes:
         image: (H, W, 3) display values.
         gbuffer: Surface attributes behind it.
+        radiance: (H, W, 3) C_fg of the head alone, linear, not premultiplied; 0 where there is none.
         irradiance: (H, W, 3) L_d, linear.
         specular_light: (H, W, 3) L_s, linear.
         motion: The Gaussians behind the G-buffer.
         color_space: What the shading behind ``image`` worked in.
+        tone_map: What brought it into the range of a display.
     """
 
     image: torch.Tensor
     gbuffer: GBuffer
+    radiance: torch.Tensor
     irradiance: torch.Tensor
     specular_light: torch.Tensor
     motion: Motion
     color_space: ColorSpace
+    tone_map: ToneMap = "none"
+
+    @property
+    def foreground(self) -> torch.Tensor:
+        """(H, W, 3) display values of the head alone, not premultiplied: without any background."""
+        return to_display(self.radiance, color_space=self.color_space, tone_map=self.tone_map)
 
     @property
     def albedo(self) -> torch.Tensor:
@@ -240,6 +250,7 @@ class Avatar(nn.Module):
         background: torch.Tensor | float = 1.0,
         edits: Sequence[MaterialEdit] = (),
         shadows: bool = True,
+        tone_map: ToneMap = "none",
     ) -> Rendering:
         """Render one frame.
 
@@ -253,9 +264,11 @@ class Avatar(nn.Module):
             edits: Changes to the materials, applied in their order.
             shadows: Let the head block the light. An avatar that learned its light without shadows, and
                 painted them into the rest, casts none under that light.
+            tone_map: "filmic" keeps what is brighter than a display's white from being clipped; for an avatar
+                whose shading works in linear light.
 
         Raises:
-            UserError: The background is of another shape or dtype.
+            UserError: The background is of another shape or dtype, or a tone map is asked for image values.
         """
         device = self.gaussians.means.device
         camera = camera.to(device)
@@ -268,7 +281,7 @@ class Avatar(nn.Module):
         casts = shadows and (self.settings.visibility or environment is not None)
         arrival = self.arrival(self.occluder.occlude(motion.head), light, camera) if casts else None
         gbuffer = self.rasterize(motion, camera, edits=edits, arrival=arrival)
-        return self.shade(motion, gbuffer, camera, light, background=background)
+        return self.shade(motion, gbuffer, camera, light, background=background, tone_map=tone_map)
 
     def shade(
         self,
@@ -279,6 +292,7 @@ class Avatar(nn.Module):
         *,
         background: torch.Tensor | float = 1.0,
         occlusion: Occlusion | None = None,
+        tone_map: ToneMap = "none",
     ) -> Rendering:
         """Deferred shading and compositing of a G-buffer (Eqs. response_shading to alpha_compose).
 
@@ -286,13 +300,25 @@ class Avatar(nn.Module):
         (`Avatar.occluder`), for a G-buffer that was made without what arrives of this light.
 
         Raises:
-            UserError: The background is of another shape or dtype, or on another device.
+            UserError: The background is of another shape or dtype, or on another device, or a tone map is
+                asked for image values.
         """
         if occlusion is not None:
             gbuffer = blend_arrival(gbuffer, self.arrival(occlusion, light, camera))
         color_space = self.settings.color_space
-        shaded = _shade_pixels(gbuffer, camera, light, background=background, color_space=color_space)
-        return Rendering(shaded.image, gbuffer, shaded.irradiance, shaded.specular_light, motion, color_space)
+        shaded = _shade_pixels(
+            gbuffer, camera, light, background=background, color_space=color_space, tone_map=tone_map
+        )
+        return Rendering(
+            shaded.image,
+            gbuffer,
+            shaded.color,
+            shaded.irradiance,
+            shaded.specular_light,
+            motion,
+            color_space,
+            tone_map,
+        )
 
     def arrival(self, occlusion: Occlusion, light: FilteredLight, camera: Camera) -> torch.Tensor:
         """What of a light arrives at every Gaussian: the channels of light, (N, 5), side by side.
@@ -379,6 +405,7 @@ def _shade_pixels(
     *,
     background: torch.Tensor | float,
     color_space: ColorSpace,
+    tone_map: ToneMap,
 ) -> Shaded:
     """Shade and compose every pixel of a G-buffer; the maps of the result are (H, W, 3)."""
     surface = gbuffer.map(lambda values: values.flatten(0, 1))
@@ -389,6 +416,7 @@ def _shade_pixels(
         alpha=gbuffer.alpha.flatten(0, 1),
         background=_behind(background, gbuffer.albedo),
         color_space=color_space,
+        tone_map=tone_map,
     )
     return Shaded(*(value.unflatten(0, gbuffer.alpha.shape[:2]) for value in shaded))
 

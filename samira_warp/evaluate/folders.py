@@ -15,7 +15,7 @@ from samira_warp.data.pixels import load_mask, load_pixels
 from samira_warp.evaluate.config import Layer
 from samira_warp.evaluate.evaluate import ImagePair
 from samira_warp.io.files import read_json
-from samira_warp.io.images import read_labels, read_on_white, resize_box, resize_nearest
+from samira_warp.io.images import read_labels, read_on_white, read_rgba, resize_box, resize_nearest
 from samira_warp.support.errors import UserError
 
 
@@ -90,13 +90,13 @@ def read_pair(comparison: Comparison, *, layer: Layer) -> ImagePair:
     Raises:
         UserError: A file cannot be decoded.
     """
-    prediction = read_on_white(comparison.prediction)
+    prediction = _read_laid(comparison.prediction, layer)
     height, width = prediction.shape[:2]
     if comparison.truth is None:
         truth = load_pixels(comparison.frame, width=width, height=height).image
     else:
         truth = torch.from_numpy(
-            np.ascontiguousarray(resize_box(read_on_white(comparison.truth), width=width, height=height))
+            np.ascontiguousarray(resize_box(_read_laid(comparison.truth, layer), width=width, height=height))
         )
     labels = (
         None
@@ -132,6 +132,14 @@ def read_region_names(regions: Path) -> dict[int, str]:
         return {int(label): str(name) for label, name in read_json(path).items()}
     except ValueError as fault:
         raise UserError(path, expected='labels and their names, such as {"1": "eye"}', found=fault) from fault
+
+
+def _read_laid(path: Path, layer: Layer) -> np.ndarray:
+    """(H, W, 3) float32: an image without its alpha, laid on what layers of its kind are laid on."""
+    if layer != "normal":
+        return read_on_white(path)
+    color, alpha = read_rgba(path)
+    return color if alpha is None else alpha[..., None] * color + 0.5 * (1.0 - alpha[..., None])
 
 
 def _existing(path: Path, expected: str) -> Path:

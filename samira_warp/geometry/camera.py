@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import torch
@@ -51,6 +52,22 @@ class Camera:
         return self.resized(
             width=max(round(self.width * scale), 1), height=max(round(self.height * scale), 1)
         )
+
+    @property
+    def field_of_view(self) -> float:
+        """Degrees that the longer side spans where its middle is straight ahead."""
+        longer, focal = max((self.width, self.fx), (self.height, self.fy), key=lambda side: side[0])
+        return math.degrees(2.0 * math.atan(0.5 * longer / focal))
+
+    def with_field_of_view(self, degrees: float) -> Camera:
+        """The view from the same place through another lens; its principal point stays where it is.
+
+        Args:
+            degrees: `field_of_view`, above 0 and below 180.
+        """
+        tangents = [math.tan(math.radians(0.5 * angle)) for angle in (self.field_of_view, degrees)]
+        factor = tangents[0] / tangents[1]
+        return replace(self, fx=self.fx * factor, fy=self.fy * factor)
 
     def to(self, device: torch.device | str) -> Camera:
         """The same camera with its transform on ``device``."""

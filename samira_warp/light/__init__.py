@@ -9,6 +9,7 @@ from samira_warp.light.learnable import LearnableLight
 from samira_warp.light.radiance_map import RadianceMap
 from samira_warp.light.rig import LightRig
 from samira_warp.light.shading import Shaded, shade
+from samira_warp.light.tone import filmic
 
 __all__ = [
     "AreaLight",
@@ -24,6 +25,7 @@ __all__ = [
     "decode_srgb",
     "encode_srgb",
     "equirect_directions",
+    "filmic",
     "shade",
     "to_display",
 ]

@@ -20,6 +20,7 @@ from samira_warp.light.radiance_map import RadianceMap
 from samira_warp.light.rig import LightRig
 from samira_warp.support.errors import UserError
 from samira_warp.support.exposure import Exposure, check_exposure
+from samira_warp.support.tone_names import ToneMap
 from samira_warp.support.validation import check_tensor
 
 DIFFUSE_FILE = "light_diffuse.exr"
@@ -182,7 +183,9 @@ class Environment:
         maps = light.irradiance.clamp(min=0), tuple(mip.clamp(min=0) for mip in light.specular)
         return FilteredLight(*maps, light.radiance, self.rotate, self.exposure, light.spots)
 
-    def background(self, camera: Camera, *, color_space: ColorSpace = "srgb") -> Tensor:
+    def background(
+        self, camera: Camera, *, color_space: ColorSpace = "srgb", tone_map: ToneMap = "none"
+    ) -> Tensor:
         """(H, W, 3) display values that the camera sees behind the head, 0 to 1: a background to render with.
 
         To see one light through many cameras, or from many sides, keep its `display_map`.
@@ -190,10 +193,12 @@ class Environment:
         Args:
             camera: The view, on any device.
             color_space: What the avatar's shading works in (``avatar.settings.color_space``).
+            tone_map: What the avatar is shown by, so that head and light are shown alike.
         """
-        return self.display_map(color_space=color_space).behind(camera, rotate=self.rotate)
+        shown = self.display_map(color_space=color_space, tone_map=tone_map)
+        return shown.behind(camera, rotate=self.rotate)
 
-    def display_map(self, *, color_space: ColorSpace = "srgb") -> RadianceMap:
+    def display_map(self, *, color_space: ColorSpace = "srgb", tone_map: ToneMap = "none") -> RadianceMap:
         """What the camera sees of the light as display values, 0 to 1, exposed but not turned.
 
         Values are clipped and encoded before they are interpolated: in radiance, a texel of a lamp would
@@ -203,7 +208,8 @@ class Environment:
         shown, at_once = torch.empty_like(texels), max(VALUES_AT_ONCE // texels[0].numel(), 1)
         for first in range(0, len(texels), at_once):
             some = self.exposure * texels[first : first + at_once]
-            shown[first : first + at_once] = to_display(some, color_space=color_space).clamp(0.0, 1.0)
+            values = to_display(some, color_space=color_space, tone_map=tone_map)
+            shown[first : first + at_once] = values.clamp(0.0, 1.0)
         return RadianceMap(shown)
 
     @property

@@ -9,9 +9,10 @@ from torch import Tensor
 
 from samira_warp.kernels.shading.deferred import Shaded, shade_gbuffer
 from samira_warp.light.brdf import brdf_table
-from samira_warp.light.color import ColorSpace
+from samira_warp.light.color import ColorSpace, compose
 from samira_warp.light.equirect import turn_directions
 from samira_warp.light.filtered import FilteredLight
+from samira_warp.support.tone_names import ToneMap
 from samira_warp.surface import Surface
 
 
@@ -23,6 +24,7 @@ def shade(
     alpha: Tensor | None = None,
     background: Tensor | float = 1.0,
     color_space: ColorSpace = "srgb",
+    tone_map: ToneMap = "none",
 ) -> Shaded:
     """Shade M points of a G-buffer and compose them with what is behind.
 
@@ -39,12 +41,14 @@ def shade(
             to no work: C_fg, L_d and L_s are 0, and only alpha itself gets a gradient.
         background: Display values behind: a number, (M, 3), or (1, 3) for all points; a constant.
         color_space: "srgb" encodes C_fg; "raw" takes its values for display values.
+        tone_map: What becomes of C_fg before it is encoded (`samira_warp.light.to_display`).
 
     Returns:
         Colours, differentiable in the surface, the view, alpha and the light's maps.
 
     Raises:
-        UserError: A wrong shape, dtype or device; the light's maps are called irradiance and mips.
+        UserError: A wrong shape, dtype or device; the light's maps are called irradiance and mips. Or a tone
+            map is asked for image values.
     """
     if light.rotate != 0.0:
         # A light that turns is seen by a scene that turns the other way: nothing has to be filtered again.
@@ -62,7 +66,7 @@ def shade(
         alpha = view.new_ones(len(view), 1)
     if not isinstance(background, Tensor):
         background = torch.full((1, 3), float(background), device=device)
-    return shade_gbuffer(
+    shaded = shade_gbuffer(
         surface,
         view,
         alpha,
@@ -72,3 +76,7 @@ def shade(
         background=background,
         encoded=color_space == "srgb",
     )
+    if tone_map == "none":
+        return shaded
+    image = compose(shaded.color, alpha, background, color_space=color_space, tone_map=tone_map)
+    return shaded._replace(image=image)

@@ -14,6 +14,10 @@ from samira_warp.support.device_names import DeviceName
 from samira_warp.support.errors import UserError
 from samira_warp.support.exposure import Exposure, check_exposure
 from samira_warp.support.image_size import check_side
+from samira_warp.support.tone_names import ToneMap
+
+WIDEST_VIEW = 150.0
+"""Degrees; beyond, a Gaussian's footprint at the picture's edge is no ellipse that splatting knows."""
 
 
 @dataclass(frozen=True)
@@ -52,15 +56,30 @@ class RenderConfig:
     """Take 8-bit pictures as environment maps, too."""
     rotate: float = 0.0
     """Degrees by which the light is turned about the vertical."""
-    exposure: Exposure = 1.0
-    """Factor on the light; auto makes its irradiance 1, averaged over all directions."""
+    exposure: Exposure | None = None
+    """Factor on the light; auto makes its irradiance 1, averaged over all directions. Default auto for a map
+    or lamps, whose brightness is anybody's, 1 for a learned light."""
+    tone_map: Literal["auto"] | ToneMap = "auto"
+    """filmic bends what is brighter than a display's white below it, none clips it; auto is filmic for a map
+    or lamps, and none for a learned light, whose pictures are compared with what was filmed."""
     turntable: float | None = None
     """Seconds in which the light goes round once, round one held frame (--frames N) or the sequence; writes
     videos."""
+    camera: str | None = None
+    """YAW,PITCH,DISTANCE: a camera of one's own, about the middle of the first frame's head and in its axes.
+    Degrees of yaw, 0 before the face, positive towards the head's left; degrees of pitch, positive above;
+    metres, default the training camera's. The frames' heads move before it."""
+    fov: float | None = None
+    """Degrees that the longer side of the picture spans; default the training camera's, or the frames' own
+    without --camera."""
+    orbit: float | None = None
+    """Seconds in which the camera goes round the head once, from --camera or from before the face, about one
+    held frame (--frames N) or the sequence; writes videos."""
     shadows: Literal["on", "off"] = "on"
     """Let the head block the light. An avatar that learned its light without shadows casts none under it."""
     background: str = "white"
-    """white, black, env (the environment behind the head) or an image file."""
+    """white, black, a colour (red,green,blue from 0 to 1, or #rrggbb), env (the environment behind the head),
+    an image file, or transparent: PNG with straight alpha."""
     roughness: str | None = None
     """Change the materials' roughness: x0.5 multiplies it, 0.3 sets it."""
     specular: str | None = None
@@ -83,7 +102,8 @@ class RenderConfig:
 
     def check(self) -> None:
         """Raise UserError unless every number can be used."""
-        check_exposure(self.exposure, name="--exposure")
+        if self.exposure is not None:
+            check_exposure(self.exposure, name="--exposure")
         if self.resolution is not None:
             check_side("--resolution", self.resolution)
         ranges = {
@@ -93,8 +113,23 @@ class RenderConfig:
                 self.turntable is None or 0.0 < self.turntable < math.inf,
                 "a positive number of seconds",
             ),
+            "orbit": (self.orbit is None or 0.0 < self.orbit < math.inf, "a positive number of seconds"),
+            "fov": (
+                self.fov is None or 1.0 <= self.fov <= WIDEST_VIEW,
+                f"degrees from 1 to {WIDEST_VIEW:g}",
+            ),
             "fps": (0.0 < self.fps < math.inf, "a positive number of frames"),
         }
         for name, (holds, expected) in ranges.items():
             if not holds:
                 raise UserError(f"--{name}", expected=expected, found=getattr(self, name.replace("-", "_")))
+
+    @property
+    def films(self) -> str | None:
+        """The first option given that writes videos, None where there is none."""
+        asked = {
+            "--turntable": self.turntable is not None,
+            "--orbit": self.orbit is not None,
+            "--video": self.video,
+        }
+        return next((name for name, given in asked.items() if given), None)

@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
-from samira_warp.avatar import Avatar, DrivingFrame, MaterialEdit
+from samira_warp.avatar import Avatar, DrivingFrame, MaterialEdit, read_frames
 from samira_warp.avatar.storage import find_avatar
 from samira_warp.geometry.camera import Camera
 from samira_warp.io.files import check_writable
@@ -20,17 +20,21 @@ from samira_warp.io.images import write_png
 from samira_warp.light import Environment, LightRig
 from samira_warp.render.config import RenderConfig
 from samira_warp.render.sources import select_frames
+from samira_warp.render.views import Views, place_cameras, warn_of_enlargement
 from samira_warp.render.writing import display_values, left_over, write_layer
 from samira_warp.stage.background import Background
 from samira_warp.stage.layer_names import Layer
-from samira_warp.stage.layers import layer_image
-from samira_warp.stage.lights import read_light, read_sheet_light, sheet_labels, sheet_paths
+from samira_warp.stage.layers import can_be_transparent, layer_image
+from samira_warp.stage.lights import is_foreign, read_light, read_sheet_light, sheet_labels, sheet_paths
 from samira_warp.stage.scene import PosedView, Scene
 from samira_warp.stage.sheet import contact_sheet
 from samira_warp.stage.turntable import plan_shots
 from samira_warp.stage.video import VideoWriter, film_size
+from samira_warp.stage.viewpoint import parse_viewpoint
 from samira_warp.support.devices import pick_device
 from samira_warp.support.errors import UserError
+from samira_warp.support.exposure import Exposure
+from samira_warp.support.tone_names import ToneMap
 
 SHEET_NAME = "contact_sheet"
 
@@ -50,24 +54,67 @@ def render(config: RenderConfig) -> int:
     """
     config.check()
     edits, maps = material_edits(config), sheet_paths(config.env, ldr=config.ldr)
-    if maps is not None and (config.turntable is not None or config.video):
-        option = "--video" if config.turntable is None else "--turntable"
-        raise UserError(
-            option,
-            expected="one light",
-            found=f"--env {config.env[0]}, a folder of maps, which makes a contact sheet",
-        )
+    if maps is not None and config.films is not None:
+        raise UserError(config.films, expected="one light", found=_found_sheet(config))
+    if config.background == "transparent":
+        _check_transparent(config, sheet=maps is not None)
+    if config.camera is not None:
+        parse_viewpoint(config.camera)
     rig = None if config.lights is None else LightRig.load(config.lights)
     check_writable(config.out)
     device = pick_device(config.device)
     folder = find_avatar(config.avatar)
     avatar = Avatar.load(folder, device=device)
-    frames = select_frames(config, avatar, folder)
-    background = Background(config.background, color_space=avatar.settings.color_space)
-    scene = Scene(avatar, edits, background, shadows=_casts_shadows(config, avatar))
+    frames, (trained, *_) = select_frames(config, avatar, folder), read_frames(folder)
+    views = place_cameras(config, avatar, frames, trained)
+    color_space, tone_map = avatar.settings.color_space, _tone_map(config, avatar, rig)
+    background = Background(config.background, color_space=color_space, tone_map=tone_map)
+    shadows = _casts_shadows(config, avatar)
+    scene = Scene(avatar, edits, background, shadows=shadows, tone_map=tone_map)
+    warn_of_enlargement(views.scale, trained)
     if maps is not None:
-        return _render_sheet(config, scene, frames[0], maps, rig)
-    return _render_sequence(config, scene, frames, rig)
+        return _render_sheet(config, scene, views.frames[0], maps, rig)
+    return _render_sequence(config, scene, views, rig)
+
+
+def _found_sheet(config: RenderConfig) -> str:
+    return f"--env {config.env[0]}, a folder of maps, which makes a contact sheet"
+
+
+def _check_transparent(config: RenderConfig, *, sheet: bool) -> None:
+    """Raise UserError unless every file that is asked for can be without a background."""
+    option = "--background transparent"
+    if config.films is not None:
+        raise UserError(option, expected="pictures alone: films hold no alpha", found=config.films)
+    if sheet:
+        raise UserError(option, expected="one light: sheets are white", found=_found_sheet(config))
+    for layer in config.layers:
+        if not can_be_transparent(layer):
+            raise UserError(
+                option, expected="layers that show the head on something", found=f"--layers {layer}"
+            )
+
+
+def _exposure(config: RenderConfig, rig: LightRig | None) -> Exposure:
+    """The factor that is asked for, or what suits the light."""
+    if config.exposure is not None:
+        return config.exposure
+    return "auto" if is_foreign(config.env, rig=rig) else 1.0
+
+
+def _tone_map(config: RenderConfig, avatar: Avatar, rig: LightRig | None) -> ToneMap:
+    """The tone map that is asked for, or what suits the light.
+
+    Raises:
+        UserError: It is asked of an avatar that works in image values.
+    """
+    raw = avatar.settings.color_space == "raw"
+    if config.tone_map == "auto":
+        return "filmic" if is_foreign(config.env, rig=rig) and not raw else "none"
+    if raw and config.tone_map != "none":
+        expected = "none for an avatar that shades in image values (train --color-space raw)"
+        raise UserError("--tone-map", expected=expected, found=config.tone_map)
+    return config.tone_map
 
 
 def _casts_shadows(config: RenderConfig, avatar: Avatar) -> bool:
@@ -91,16 +138,16 @@ def material_edits(config: RenderConfig) -> tuple[MaterialEdit, ...]:
     return (edit,) if edit.changes() else ()
 
 
-def _render_sequence(
-    config: RenderConfig, scene: Scene, frames: list[DrivingFrame], rig: LightRig | None
-) -> int:
+def _render_sequence(config: RenderConfig, scene: Scene, views: Views, rig: LightRig | None) -> int:
     light = scene.light(_light(config, scene.avatar, rig))
-    shots = plan_shots(frames, turntable=config.turntable, frames_per_second=config.fps)
-    names = [name for shot in shots for name, _ in shot.pictures]
-    filmed = config.layers if config.video or config.turntable is not None else ()
+    shots = plan_shots(
+        views.frames, turntable=config.turntable, orbit=views.orbit, frames_per_second=config.fps
+    )
+    names = [picture.name for shot in shots for picture in shot.pictures]
+    filmed = () if config.films is None else config.layers
     _say_what_stays(config, names, films=bool(filmed))
     if filmed:
-        _say_film_size([frame.camera for frame in frames])
+        _say_film_size([frame.camera for frame in views.frames])
     _make_folders(config)
     with ExitStack() as stack:
         videos = {
@@ -110,10 +157,13 @@ def _render_sequence(
         bar = stack.enter_context(tqdm(total=len(names), unit="frame", dynamic_ncols=True))
         for shot in shots:
             view = scene.view(shot.frame)
-            for name, degrees in shot.pictures:
-                rendering = scene.relight(view, light.turned(degrees))
+            for name, camera, degrees in shot.pictures:
+                moved = camera is not shot.frame.camera
+                seen = scene.seen_from(view, camera) if moved else view
+                rendering = scene.relight(seen, light.turned(degrees))
                 for layer in config.layers:
-                    picture = write_layer(config.out / layer, name, layer_image(rendering, layer))
+                    image = layer_image(rendering, layer, transparent=scene.background.transparent)
+                    picture = write_layer(config.out / layer, name, image)
                     if layer in videos:
                         videos[layer].add(picture)
                 bar.update()
@@ -140,9 +190,10 @@ def _render_sheet(
 def _light(config: RenderConfig, avatar: Avatar, rig: LightRig | None) -> Environment:
     """The light of an image sequence: what --env and --lights name, else the learned light."""
     if config.env or rig is not None:
-        return read_light(config.env, rig=rig, rotate=config.rotate, exposure=config.exposure, ldr=config.ldr)
+        exposure = _exposure(config, rig)
+        return read_light(config.env, rig=rig, rotate=config.rotate, exposure=exposure, ldr=config.ldr)
     learned = avatar.light.environment().turned(config.rotate)
-    return learned.exposed(config.exposure, name="the learned light")
+    return learned.exposed(_exposure(config, rig), name="the learned light")
 
 
 def _sheet_light(
@@ -153,7 +204,7 @@ def _sheet_light(
     All are read before the work on any begins, and none keeps its map, which may be large.
     """
     environment = read_sheet_light(
-        path, rig=rig, rotate=config.rotate, exposure=config.exposure, ldr=config.ldr
+        path, rig=rig, rotate=config.rotate, exposure=_exposure(config, rig), ldr=config.ldr
     )
     environment = environment.to(scene.device)
     return replace(environment, backdrop=None), scene.behind(view, environment)

@@ -14,7 +14,16 @@ from samira_warp.stage.layers import LayerImage
 
 
 def write_layer(folder: Path, name: str, layer: LayerImage) -> np.ndarray:
-    """Write a layer's PNG, and its EXR where it has values; the picture comes back as (H, W, 3) uint8."""
+    """Write a layer's PNG, and its EXR where it has values; the picture comes back as uint8.
+
+    Args:
+        folder: Where to.
+        name: Stem of the files.
+        layer: What to write.
+
+    Returns:
+        (H, W, 3), or (H, W, 4) of one with alpha.
+    """
     picture = display_values(layer)
     write_png(folder / f"{name}.png", picture)
     if layer.values is not None:
@@ -23,7 +32,7 @@ def write_layer(folder: Path, name: str, layer: LayerImage) -> np.ndarray:
 
 
 def display_values(layer: LayerImage) -> np.ndarray:
-    """(H, W, 3) display values of a layer in 0..1."""
+    """(H, W, 3) display values of a layer in 0..1, (H, W, 4) of one with alpha."""
     picture = layer.picture.clamp(0.0, 1.0).cpu().numpy()
     return np.repeat(picture, 3, axis=2) if picture.shape[2] == 1 else picture
 

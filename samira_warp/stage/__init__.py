@@ -1,6 +1,6 @@
 """What stands round an avatar when it is looked at, whoever looks.
 
-Lights, background, turntable and sheets of pictures, free of any one command.
+Lights, cameras, background, turntable and sheets of pictures, free of any one command.
 """
 
 from __future__ import annotations
@@ -15,17 +15,22 @@ if TYPE_CHECKING:
     from samira_warp.stage.lights import read_light
     from samira_warp.stage.scene import PosedView, Scene, SceneLight
     from samira_warp.stage.sheet import contact_sheet
-    from samira_warp.stage.turntable import Shot, plan_shots
+    from samira_warp.stage.turntable import Picture, Shot, plan_shots
     from samira_warp.stage.video import VideoWriter
+    from samira_warp.stage.viewpoint import HeadPlace, Orbit, Viewpoint
 
 __all__ = [
     "Background",
+    "HeadPlace",
     "LayerImage",
+    "Orbit",
+    "Picture",
     "PosedView",
     "Scene",
     "SceneLight",
     "Shot",
     "VideoWriter",
+    "Viewpoint",
     "contact_sheet",
     "layer_image",
     "plan_shots",
@@ -43,8 +48,12 @@ __getattr__ = lazily(
         "Scene": "scene",
         "SceneLight": "scene",
         "contact_sheet": "sheet",
+        "Picture": "turntable",
         "Shot": "turntable",
         "plan_shots": "turntable",
         "VideoWriter": "video",
+        "HeadPlace": "viewpoint",
+        "Orbit": "viewpoint",
+        "Viewpoint": "viewpoint",
     },
 )

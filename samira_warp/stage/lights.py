@@ -53,6 +53,16 @@ def read_light(
     return both.exposed(exposure, name=paths[0])
 
 
+def is_foreign(paths: Sequence[Path], *, rig: LightRig | None = None) -> bool:
+    """Whether it is open how bright a light is: a map's and lamps' units are whoever's made them.
+
+    A learned light, by its folder or its two maps, is as bright as the pictures that it was learned from.
+    """
+    if rig is not None:
+        return True
+    return len(paths) == 1 and not (paths[0].is_dir() and _holds_learned_light(paths[0]))
+
+
 def sheet_paths(paths: Sequence[Path], *, ldr: bool = False) -> list[Path] | None:
     """The maps of a contact sheet, by name, where ``paths`` is a folder of them; None where it is not.
 

@@ -13,6 +13,7 @@ from samira_warp.geometry.camera import Camera
 from samira_warp.light import Environment, FilteredLight
 from samira_warp.light.radiance_map import RadianceMap
 from samira_warp.stage.background import Background
+from samira_warp.support.tone_names import ToneMap
 
 
 class PosedView(NamedTuple):
@@ -55,12 +56,14 @@ class Scene(NamedTuple):
         edits: Changes to its materials.
         background: What is behind it.
         shadows: Whether it blocks the light.
+        tone_map: What brings its radiance into the range of a display; the background has its own.
     """
 
     avatar: Avatar
     edits: tuple[MaterialEdit, ...]
     background: Background
     shadows: bool = True
+    tone_map: ToneMap = "none"
 
     @property
     def device(self) -> torch.device:
@@ -74,6 +77,12 @@ class Scene(NamedTuple):
         occlusion = self.avatar.occluder.occlude(motion.head) if self.shadows else None
         return PosedView(camera, motion, gbuffer, occlusion)
 
+    def seen_from(self, view: PosedView, camera: Camera) -> PosedView:
+        """The same posed head before another camera: it is rasterised anew, and neither moved nor traced."""
+        camera = camera.to(self.device)
+        gbuffer = self.avatar.rasterize(view.motion, camera, edits=self.edits)
+        return view._replace(camera=camera, gbuffer=gbuffer)
+
     def light(self, environment: Environment) -> SceneLight:
         """Filter an environment, once for all pictures."""
         environment = environment.to(self.device)
@@ -85,12 +94,18 @@ class Scene(NamedTuple):
         return self.shade(view, light.filtered, behind)
 
     def behind(self, view: PosedView, environment: Environment) -> Tensor | float:
-        """What is behind one view under an environment: display values (H, W, 3), or a grey."""
+        """What is behind one view under an environment: display values (H, W, 3) or (3,), or a grey."""
         seen = self.background.seen_of(environment.to(self.device))
         return self.background.behind(view.camera, seen, rotate=environment.rotate)
 
     def shade(self, view: PosedView, light: FilteredLight, behind: Tensor | float) -> Rendering:
         """Shade a view and put display values behind it."""
         return self.avatar.shade(
-            view.motion, view.gbuffer, view.camera, light, background=behind, occlusion=view.occlusion
+            view.motion,
+            view.gbuffer,
+            view.camera,
+            light,
+            background=behind,
+            occlusion=view.occlusion,
+            tone_map=self.tone_map,
         )

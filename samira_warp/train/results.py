@@ -125,7 +125,7 @@ def _next_commands(settings: Settings) -> list[str]:
     """Commands that show and score the avatar, as a shell takes them."""
     out, data, split = (str(value) for value in (settings.out, settings.data, settings.split))
     pictures, relit = (str(settings.out / name) for name in ("render", "relit"))
-    light = ("--env", str(LIGHTS / "dusk.hdr"), "--exposure", "auto", "--background", "env")
+    light = ("--env", str(LIGHTS / "dusk.hdr"), "--background", "env")
     calls = (
         ("render", "--avatar", out, "--out", pictures, "--layers", "image", "albedo", "normal", "--video"),
         ("render", "--avatar", out, "--out", relit, *light),

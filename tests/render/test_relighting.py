@@ -2,6 +2,7 @@
 backgrounds, and materials changed."""
 
 import functools
+import itertools
 import json
 import subprocess
 import sys
@@ -23,6 +24,9 @@ from samira_warp.stage import lights
 from samira_warp.stage.background import Background
 
 FRAME = "00004_00"
+
+AS_IT_IS = ("--exposure", 1, "--tone-map", "none")
+"""A light as bright as its file says, shown without a curve: what can be compared with numbers."""
 
 
 @pytest.fixture(autouse=True)
@@ -74,7 +78,7 @@ def test_any_light_turns(tiny_run, tmp_path, maps):
     """A map that is bright on the camera's right, turned, lights the face or the back of the head; the
     learned light turns as well."""
     images = {
-        turn: render(tiny_run, tmp_path / str(turn), "--env", maps / "right.exr", "--rotate", turn)
+        turn: render(tiny_run, tmp_path / str(turn), "--env", maps / "right.exr", "--rotate", turn, *AS_IT_IS)
         for turn in (-90, 0, 90)
     }
     front, side, back = (picture(images[turn]).mean() for turn in (-90, 0, 90))
@@ -108,12 +112,16 @@ def test_lamps_light_alone_and_with_a_map_and_turn_with_it(tiny_run, tmp_path, m
     avatar, frame = Avatar.load(tiny_run), read_frames(tiny_run)[0]
     lamps, dim = LightRig.load(rig), Environment.load(maps / "right.exr", exposure=1.0)
     for name, options, light in [
-        ("alone", (), Environment.from_rig(lamps)),
+        ("alone", ("--exposure", 1), Environment.from_rig(lamps)),
         ("turned", ("--rotate", 40, "--exposure", 2), Environment.from_rig(lamps).turned(40.0).exposed(2.0)),
-        ("both", ("--env", maps / "right.exr", "--rotate", 40), dim.with_rig(lamps).turned(40.0)),
-        ("auto", ("--env", maps / "right.exr", "--exposure", "auto"), dim.with_rig(lamps).exposed("auto")),
+        (
+            "both",
+            ("--env", maps / "right.exr", "--rotate", 40, "--exposure", 1),
+            dim.with_rig(lamps).turned(40.0),
+        ),
+        ("auto", ("--env", maps / "right.exr"), dim.with_rig(lamps).exposed("auto")),
     ]:
-        found = picture(render(tiny_run, tmp_path / name, "--lights", rig, *options))
+        found = picture(render(tiny_run, tmp_path / name, "--lights", rig, "--tone-map", "none", *options))
         with torch.no_grad():
             expected = avatar.render(frame.parameters, frame.camera, light).image
         np.testing.assert_allclose(found, expected.clamp(0, 1).numpy(), atol=0.51 / 255)
@@ -124,9 +132,9 @@ def test_lamps_light_alone_and_with_a_map_and_turn_with_it(tiny_run, tmp_path, m
 
 def test_lamps_are_added_to_every_map_of_a_sheet(tiny_run, tmp_path, maps, rig):
     with_lamps = picture(
-        render(tiny_run, tmp_path / "lamps", "--env", maps, "--lights", rig), "contact_sheet"
+        render(tiny_run, tmp_path / "lamps", "--env", maps, "--lights", rig, *AS_IT_IS), "contact_sheet"
     )
-    without = picture(render(tiny_run, tmp_path / "maps", "--env", maps), "contact_sheet")
+    without = picture(render(tiny_run, tmp_path / "maps", "--env", maps, *AS_IT_IS), "contact_sheet")
     assert (with_lamps >= without - 1.01 / 255).all()
     for row in np.array_split(with_lamps - without, 2, axis=0):
         assert row.max() > 0.1
@@ -161,9 +169,12 @@ def test_auto_exposure_does_not_know_how_bright_the_map_is(tiny_run, tmp_path, m
     bright = 50.0 * read_image(maps / "right.exr", channels=3)
     write_exr(tmp_path / "bright.exr", bright)
     images = [
-        picture(render(tiny_run, tmp_path / str(index), "--env", env, "--exposure", "auto"))
-        for index, env in enumerate((maps / "right.exr", tmp_path / "bright.exr"))
+        picture(render(tiny_run, tmp_path / str(index), "--env", env, *options))
+        for index, (env, options) in enumerate(
+            [(maps / "right.exr", ("--exposure", "auto")), (tmp_path / "bright.exr", ())]
+        )
     ]
+    # a map's brightness is anybody's: it is the default
     np.testing.assert_allclose(images[0], images[1], atol=1.01 / 255)
     learned = picture(render(tiny_run, tmp_path / "learned", "--exposure", "auto"))
     avatar, frame = Avatar.load(tiny_run), read_frames(tiny_run)[0]
@@ -174,20 +185,68 @@ def test_auto_exposure_does_not_know_how_bright_the_map_is(tiny_run, tmp_path, m
     np.testing.assert_allclose(learned, expected.clamp(0, 1).numpy(), atol=0.51 / 255)
 
 
+def test_a_foreign_light_burns_nothing_out_and_a_learned_one_is_shown_as_it_was_filmed(
+    tiny_run, tmp_path, maps, rig
+):
+    """The default of --tone-map, by the light, against the avatar itself."""
+    avatar, frame = Avatar.load(tiny_run), read_frames(tiny_run)[0]
+    bright = Environment.load(maps / "ahead.exr", rotate=180.0)
+    learned = avatar.light.environment()
+    for name, options, light, tone_map in [
+        ("map", ("--env", maps / "ahead.exr", "--rotate", 180), bright.exposed("auto"), "filmic"),
+        (
+            "brighter",
+            ("--env", maps / "ahead.exr", "--rotate", 180, "--exposure", 8),
+            bright.exposed(8.0),
+            "filmic",
+        ),
+        ("lamps", ("--lights", rig), Environment.from_rig(LightRig.load(rig)).exposed("auto"), "filmic"),
+        ("learned", ("--exposure", 3), learned.exposed(3.0), "none"),
+        ("its folder", ("--env", tiny_run), learned, "none"),
+        ("learned, filmic", ("--tone-map", "filmic"), learned, "filmic"),
+    ]:
+        found = picture(render(tiny_run, tmp_path / name, *options))
+        with torch.no_grad():
+            rendering = avatar.render(frame.parameters, frame.camera, light, tone_map=tone_map)
+        np.testing.assert_allclose(found, rendering.image.clamp(0, 1).numpy(), atol=0.51 / 255, err_msg=name)
+    inside = picture(render(tiny_run, tmp_path / "alpha", "--layers", "alpha"), layer="alpha") > 0.99
+    plain = picture(
+        render(
+            tiny_run,
+            tmp_path / "plain",
+            "--env",
+            maps / "ahead.exr",
+            "--rotate",
+            180,
+            "--exposure",
+            8,
+            "--tone-map",
+            "none",
+        )
+    )
+    # the same light: half of the head is white, and nearly none of it
+    assert (plain[inside] == 1).mean() > 0.3
+    assert (picture(tmp_path / "brighter")[inside] == 1).mean() < 0.1 * (plain[inside] == 1).mean()
+
+
 def test_an_8_bit_map_lights_when_it_is_asked_for(tiny_run, tmp_path, capsys):
     write_png(tmp_path / "sky.png", np.full((8, 16, 3), 0.5))
-    render(tiny_run, tmp_path / "out", "--env", tmp_path / "sky.png", "--ldr", "--background", "env")
+    render(
+        tiny_run, tmp_path / "out", "--env", tmp_path / "sky.png", "--ldr", "--background", "env", *AS_IT_IS
+    )
     np.testing.assert_allclose(background(picture(tmp_path / "out")), 0.5, atol=1.5 / 255)
 
 
 def test_the_environment_is_behind_the_head_as_bright_and_as_turned_as_its_light(tiny_run, tmp_path, maps):
     options = ("--env", maps / "right.exr", "--exposure", 0.4, "--background", "env")
     camera = read_frames(tiny_run)[0].camera
-    for turn in (0, 65, 90):
-        seen = picture(render(tiny_run, tmp_path / str(turn), *options, "--rotate", turn))
-        expected = Environment.load(maps / "right.exr", rotate=turn, exposure=0.4).background(camera)
+    for tone_map, turn in itertools.product(("none", "filmic"), (0, 65, 90)):
+        out = tmp_path / f"{tone_map}{turn}"
+        seen = picture(render(tiny_run, out, *options, "--rotate", turn, "--tone-map", tone_map))
+        light = Environment.load(maps / "right.exr", rotate=turn, exposure=0.4)
+        expected = light.background(camera, tone_map=tone_map)
         np.testing.assert_allclose(background(seen), background(expected.numpy()), atol=0.51 / 255)
-    dark, bright = (background(picture(tmp_path / str(turn))).mean() for turn in (0, 90))
+    dark, bright = (background(picture(tmp_path / f"none{turn}")).mean() for turn in (0, 90))
     assert bright > dark + 0.3
 
 

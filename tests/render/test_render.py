@@ -27,6 +27,9 @@ WITH_VALUES = {
     "depth": 1,
     "irradiance": 3,
     "specular_light": 3,
+    "specular": 1,
+    "response_diffuse": 1,
+    "response_specular": 1,
     "residual_position": 3,
     "residual_rotation": 3,
 }
@@ -117,9 +120,9 @@ CONTRACT = """image albedo normal roughness specular alpha depth response_diffus
 DRAWN = {
     "normal": (0.5, lambda normal: (normal + 1) / 2),
     "roughness": (1.0, lambda roughness: roughness),
-    "specular": (1.0, lambda specular: specular),
-    "response_diffuse": (0.5, lambda response: response - 0.5),
-    "response_specular": (0.5, lambda response: response - 0.5),
+    "specular": (1.0, lambda specular: (10 * specular).clamp(max=1)),
+    "response_diffuse": (0.5, lambda response: (10 * (response - 0.95)).clamp(0, 1)),
+    "response_specular": (0.5, lambda response: (10 * (response - 0.95)).clamp(0, 1)),
 }
 """The grey behind a layer of the surface, and its picture."""
 
@@ -135,8 +138,14 @@ def test_channels_of_the_surface_are_drawn_on_their_grey(layer):
         avatar.response_logits.normal_(generator=torch.Generator().manual_seed(0))
         rendering = avatar.render(parameters(0), camera(32))
     (grey, picture), alpha = DRAWN[layer], rendering.gbuffer.alpha
-    wanted = alpha * picture(getattr(rendering.gbuffer, layer)) + (1 - alpha) * grey
-    torch.testing.assert_close(layer_image(rendering, layer).picture, wanted, atol=1e-6, rtol=0)
+    values = getattr(rendering.gbuffer, layer)
+    wanted = alpha * picture(values) + (1 - alpha) * grey
+    found = layer_image(rendering, layer)
+    # ten times the rounding of values about 1
+    torch.testing.assert_close(found.picture, wanted, atol=2e-6, rtol=0)
+    # a picture that clips comes with what it shows
+    assert (found.values is not None) == (layer not in ("normal", "roughness"))
+    assert found.values is None or torch.equal(found.values, values)
 
 
 def test_rendering_agrees_with_the_runs_own_score(everything, tiny_run, tiny_dataset, capsys):
@@ -218,6 +227,8 @@ def test_exposure_two_doubles_the_linear_light(tiny_run, tmp_path, light, small_
         for exposure in (1, 2):
             folder = tmp_path / f"{name}{exposure}"
             arguments = [
+                "--tone-map",
+                "none",
                 "--avatar",
                 tiny_run,
                 "--out",
@@ -247,15 +258,17 @@ def test_backgrounds(tiny_run, tmp_path, light, everything, small_environments):
     picture = tmp_path / "picture.png"
     write_png(picture, np.tile(np.array([0.2, 0.4, 0.8]), (64, 48, 1)))
     images = {}
-    for name in ("white", "black", "env", picture):
+    for name in ("white", "black", "env", "0.2,0.4,0.8", "#3366cc", picture):
         folder = tmp_path / "out" / str(getattr(name, "stem", name))
-        assert render("--avatar", tiny_run, "--out", folder, "--env", light, "--background", name) == 0
+        options = ("--env", light, "--exposure", 1, "--tone-map", "none", "--background", name)
+        assert render("--avatar", tiny_run, "--out", folder, *options) == 0
         images[name] = first(folder)
     assert (images["white"][outside] == 1).all()
     assert (images["black"][outside] == 0).all()
-    np.testing.assert_allclose(
-        images[picture][outside], np.tile([51, 102, 204], (outside.sum(), 1)) / 255, atol=1e-6
-    )
+    for name in (picture, "0.2,0.4,0.8", "#3366cc"):
+        np.testing.assert_allclose(
+            images[name][outside], np.tile([51, 102, 204], (outside.sum(), 1)) / 255, atol=1e-6
+        )
     # the narrow view straight ahead sees the dim part of the map: 0.2 linear is 0.484 in sRGB
     np.testing.assert_allclose(images["env"][outside], 0.4845, atol=0.01)
     assert all(np.abs(image[covered] - images["white"][covered]).max() < 0.04 for image in images.values())
@@ -433,6 +446,28 @@ def files(tmp_path):
         (["--background", "text.png"], "text.png"),
         (["--background", "missing.png"], "missing.png"),
         (["--background", "grey"], "grey"),
+        (["--background", "255,255,255"], "from 0 to 1, or #rrggbb"),
+        (["--background", "0.5,0.5"], "--background: expected white"),
+        (["--background", "0,0,nan"], "'0,0,nan'"),
+        (["--background", "#12345"], "'#12345'"),
+        (["--background", "transparent", "--video"], "films hold no alpha, found --video"),
+        (["--background", "transparent", "--orbit", "1"], "films hold no alpha, found --orbit"),
+        (["--background", "transparent", "--turntable", "1"], "films hold no alpha, found --turntable"),
+        (["--background", "transparent", "--layers", "image", "depth"], "found --layers depth"),
+        (["--background", "transparent", "--env", "maps"], "which makes a contact sheet"),
+        (["--camera", "30"], "--camera: expected YAW,PITCH"),
+        (["--camera", "30,10,1,2"], "'30,10,1,2'"),
+        (["--camera", "30,x"], "'30,x'"),
+        (["--camera", "nan,0"], "'nan,0'"),
+        (["--camera=-30,91"], "degrees from -90 to 90"),
+        (["--camera", "0,0,0.1"], "metres from 0.25 to 100"),
+        (["--camera", "0,0,inf"], "'0,0,inf'"),
+        (["--fov", "0"], "--fov: expected degrees from 1 to 150"),
+        (["--fov", "180"], "--fov"),
+        (["--fov", "nan"], "--fov"),
+        (["--orbit", "0"], "--orbit: expected a positive number of seconds"),
+        (["--orbit", "nan"], "--orbit"),
+        (["--env", "maps", "--orbit", "1"], "--orbit: expected one light"),
         (["--data", "missing"], "missing"),
         (["--frames", "9:"], "--frames"),
         (["--frames", "x"], "--frames"),

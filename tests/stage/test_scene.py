@@ -72,14 +72,15 @@ def test_edits_and_greys_are_the_scenes(scene):
 
 def test_shots_go_round_once():
     frames = [FRAME._replace(name=name) for name in "abc"]
-    still = plan_shots(frames, turntable=None, frames_per_second=25.0)
-    assert [shot.pictures for shot in still] == [((name, 0.0),) for name in "abc"]
+    still = plan_shots(frames, frames_per_second=25.0)
+    assert [shot.pictures for shot in still] == [((name, FRAME.camera, 0.0),) for name in "abc"]
     # held: the end of the turn meets its beginning
     (held,) = plan_shots(frames[:1], turntable=0.5, frames_per_second=8.0)
-    assert held.pictures == tuple((f"a_{index:04d}", 90.0 * index) for index in range(4))
+    assert held.pictures == tuple((f"a_{index:04d}", FRAME.camera, 90.0 * index) for index in range(4))
     # moving: as long as the sequence, at the same speed
     moving = plan_shots(frames, turntable=1.0, frames_per_second=4.0)
-    assert [shot.pictures for shot in moving] == [((name, 90.0 * index),) for index, name in enumerate("abc")]
+    turned = [((name, FRAME.camera, 90.0 * index),) for index, name in enumerate("abc")]
+    assert [shot.pictures for shot in moving] == turned
     assert [shot.frame.name for shot in moving] == list("abc")
 
 
