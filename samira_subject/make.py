@@ -144,7 +144,7 @@ class _Maker:
             return np.rint(65535.0 * picture.finish[..., FINISH_LAYERS.index(layer)].numpy()).astype(
                 np.uint16
             )
-        if layer.startswith("gt/specular_light/"):
+        if layer.startswith("gt/highlights/"):
             return encode_srgb(picture.specular).numpy()
         return developed(picture)
 
@@ -242,7 +242,7 @@ def _facts(plan: SubjectPlan, performance: Performance) -> dict[str, object]:
         "gt/specular": "reflectance at normal incidence of test frames, encoded likewise",
         "gt/relight/<light>": "test frames under another light; "
         "<light>.json has file, azimuth_degrees, exposure",
-        "gt/specular_light/<light>": "the specular light alone of those frames, sRGB encode(linear radiance "
+        "gt/highlights/<light>": "the specular light alone of those frames, sRGB encode(linear radiance "
         "x exposure), clipped, the mean over what a pixel holds of the head; 0 where that is nothing",
         "gt/orbit": "a dataset of its own: two poses held, filmed from around under the light of images/; "
         "orbit.json says yaw (degrees from +z towards +x) and pitch (above the horizon) of each picture; all "

@@ -89,11 +89,11 @@ class SubjectPlan:
         taken = []
         for frame in range(self.train + self.test):
             truth = ("albedo",) if frame < self.train else SURFACE_LAYERS
-            mirrored = (f"gt/specular_light/{self.capture}",) if frame in relit else ()
+            mirrored = (f"gt/highlights/{self.capture}",) if frame in relit else ()
             taken.append(Take(frame, self.capture, ("images", "fg_masks", *truth, *mirrored)))
             others = self.lights[1:] if frame in relit else ()
             taken += [
-                Take(frame, light, (f"gt/relight/{light}", f"gt/specular_light/{light}")) for light in others
+                Take(frame, light, (f"gt/relight/{light}", f"gt/highlights/{light}")) for light in others
             ]
         of_orbit = tuple(f"{ORBIT}/{layer}" for layer in ("images", "fg_masks"))
         return taken + [

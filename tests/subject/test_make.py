@@ -24,7 +24,7 @@ from samira_subject.make import make_subject
 from samira_subject.performance import perform
 from samira_subject.plan import VERSION
 from samira_subject.sky import CAPTURE
-from samira_subject.studio import DISTANCE, threads
+from samira_subject.studio import DISTANCE
 from samira_warp.data import open_sequence
 from samira_warp.head import Rig
 from samira_warp.io.files import read_json
@@ -36,13 +36,10 @@ from samira_warp.support.cli import run
 SCRIPT = TESTS / "subject" / "stand_in.py"
 
 
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory):
+@pytest.fixture
+def dataset(stand_in_dataset):
     """The stand-in's dataset, made by two threads."""
-    folder = tmp_path_factory.mktemp("made") / "subject"
-    with threads(2):
-        make_subject(folder, PLAN, stand_in)
-    return folder
+    return stand_in_dataset
 
 
 def command(folder, *options, threads=1):
@@ -80,7 +77,7 @@ def test_everything_that_the_layout_names_is_there(dataset):
         assert sorted(path.name for path in (dataset / "gt" / layer).iterdir()) == tests
     for name in PLAN.lights:
         relit = tests[: PLAN.relit]
-        assert [path.name for path in (dataset / "gt" / "specular_light" / name).iterdir()] == relit
+        assert [path.name for path in (dataset / "gt" / "highlights" / name).iterdir()] == relit
         described = dataset / "gt" / ("capture_light.json" if name == CAPTURE else f"relight/{name}.json")
         light = read_json(described)
         assert Environment.load(
@@ -125,8 +122,7 @@ def test_specular_light_is_some_of_the_light(dataset):
     for light in PLAN.lights:
         folder = dataset / ("images" if light == CAPTURE else f"gt/relight/{light}")
         picture, mirrored = (
-            read_image(path / name, channels=3)
-            for path in (folder, dataset / "gt" / "specular_light" / light)
+            read_image(path / name, channels=3) for path in (folder, dataset / "gt" / "highlights" / light)
         )
         # both are rounded to a byte
         assert (mirrored[mask == 1] <= picture[mask == 1] + 1.01 / 255).all()
