@@ -60,7 +60,7 @@ def main(config: OrbitConfig) -> None:
         found = score(frame, avatar, resolution=config.resolution)
         for row in (f"yaw {abs(yaw)}" if pitch == 0 else f"pitch {pitch}", "all"):
             scores.setdefault(row, []).append(found)
-    rows = [
+    rows: list[dict[str, str | float]] = [
         {"view": row, "pictures": str(len(found)), **{name: mean_of(found, name) for name in found[0]}}
         for row, found in sorted(scores.items(), key=_order)
     ]
