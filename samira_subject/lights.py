@@ -13,7 +13,7 @@ from torch import Tensor
 from samira_subject.raycaster_sampling import SkyTables
 from samira_subject.sky import SKIES, exposure_of, paint_sky
 from samira_subject.studio import threads
-from samira_warp.light import LightRig, RadianceMap
+from samira_warp.light import DirectionalLight, LightRig, RadianceMap
 from samira_warp.light.equirect import cube_to_equirect
 
 ROWS = 512
@@ -22,6 +22,19 @@ ROWS = 512
 ROWS_STEP = 64
 """What rows are a multiple of: irradiance is summed over whole blocks of pixels."""
 
+
+LAMP = "lamp"
+"""The light that is no sky: a small lamp in the dark, as shading shows a surface's smallest bends."""
+
+BUILT_IN = (*SKIES, LAMP)
+"""The lights that have names."""
+
+LAMP_ROWS = 256
+"""Rows of its panorama, of which it spans 9."""
+
+_LAMP = LightRig((DirectionalLight((-0.72, 0.46, 0.52), (math.pi,) * 3, radius=3.0),))
+"""From the subject's right and above, across the face. White that faces it is as bright as a display's white:
+skin and its highlights are not clipped."""
 
 EVENLY = 0.5
 """Share of the draws that a user's light is not to keep for its brightest lamp, which may be a sun."""
@@ -42,13 +55,16 @@ class DatasetLight:
 
         Args:
             name: What it is called.
-            radiance: (H, 2 H, 3) float32, linear; None is the sky of that name.
-            exposure: Factor on it; None brings it to the brightness of all others.
+            radiance: (H, 2 H, 3) float32, linear; None is the sky of that name, or the lamp.
+            exposure: Factor on it; None brings it to the brightness of all others but
+                the lamp, which is dimmer.
         """
         self.name = name
         with threads(1):
-            self.radiance = paint_sky(SKIES[name]) if radiance is None else radiance
-            self.exposure = exposure_of(self.radiance) if exposure is None else exposure
+            self.radiance = built_in_radiance(name) if radiance is None else radiance
+            if exposure is None:
+                exposure = 1.0 if name == LAMP and radiance is None else exposure_of(self.radiance)
+            self.exposure = exposure
             self.tables = SkyTables.build(
                 self.radiance * self.exposure, evenly=0.0 if radiance is None else EVENLY
             )
@@ -69,13 +85,18 @@ class DatasetLight:
         return json.dumps({"file": self.file, "azimuth_degrees": 0.0, "exposure": self.exposure}, indent=1)
 
 
+def built_in_radiance(name: str) -> Tensor:
+    """(H, 2 H, 3) float32 panorama of one of SKIES, or of the lamp."""
+    return _LAMP.to_panorama(LAMP_ROWS) if name == LAMP else paint_sky(SKIES[name])
+
+
 def panorama_of(light: str | Path | None, rig: LightRig | None, *, rotate: float = 0.0) -> Tensor:
     """(H, 2 H, 3) float32 radiance of a sky or a map, of lamps, or of both, turned.
 
     What rays are drawn from is what the dataset's file has, so the turn is in the texels.
 
     Args:
-        light: One of SKIES, or a map, any that `RadianceMap` reads; None for lamps alone.
+        light: One of SKIES, the lamp, or a map, any that `RadianceMap` reads; None for lamps alone.
         rig: Lamps, as the head's centre sees them; None for none.
         rotate: Degrees by which the whole is turned.
 
@@ -95,8 +116,8 @@ def _panorama(light: str | Path | None) -> Tensor:
     """(H, 2 H, 3) float32, of any size: black for None."""
     if light is None:
         return torch.zeros(ROWS, 2 * ROWS, 3)
-    if light in SKIES:
-        return paint_sky(SKIES[str(light)])
+    if light in BUILT_IN:
+        return built_in_radiance(str(light))
     radiance = RadianceMap.read(light)
     if radiance.face_size is None:
         return radiance.texels

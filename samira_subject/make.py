@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
@@ -17,20 +16,25 @@ from scipy.ndimage import gaussian_filter
 from tqdm import tqdm
 
 from samira_subject.lights import DatasetLight
+from samira_subject.orbit import POSES, held_poses, orbit_camera, view_name
 from samira_subject.performance import FRAMES_PER_SECOND, Performance, perform
-from samira_subject.plan import VERSION, SubjectPlan, Take
+from samira_subject.plan import ORBIT, VERSION, SubjectPlan, Take, film_name
 from samira_subject.raycaster import Picture, PosedSkin
 from samira_subject.streams import Purpose, generator_of, number_of
 from samira_subject.studio import Cast, Studio, developed, on_white
+from samira_subject.transforms import entry, write_transforms
 from samira_warp.data.vhap import CANONICAL_FILE
-from samira_warp.geometry.camera import Camera
 from samira_warp.head import FrameParameters, Rig
 from samira_warp.head.template import save_template
 from samira_warp.io.files import resume_folder, whole_file
 from samira_warp.io.images import write_exr, write_png
+from samira_warp.light import encode_srgb
 
 ALBEDO_BLUR = 0.8 / 512
 """Standard deviation, as a share of the width, of the blur that stands for what estimates of albedo lose."""
+
+FINISH_LAYERS = ("gt/roughness", "gt/specular")
+"""What is written of `Picture.finish`, in its order."""
 
 ALBEDO_GAIN = 0.05
 """Standard deviation of the factor that stands for how far such estimates stray from frame to frame."""
@@ -86,37 +90,49 @@ class _Maker:
         self._cast = cast
         self._studio = Studio(cast, size=plan.size, effort=plan.effort)
         self._lights = dict(zip(plan.lights, lights, strict=True))
-        self._performance = perform(
-            cast.template.expression_names, train=plan.train, test=plan.test, seed=plan.seed
-        )
+        names = cast.template.expression_names
+        self._performance = perform(names, train=plan.train, test=plan.test, seed=plan.seed)
+        self._held = held_poses(self._performance, names)
 
     def make(self, takes: Sequence[Take]) -> None:
         """Write all but the pictures, which takes no time, and take those that are asked for."""
-        for name in ("images", "fg_masks", "albedo", "flame_param", "lights", "gt/albedo", "gt/normal"):
+        every = self._plan.takes()
+        for name in {layer for take in every for layer in take.layers} | {"albedo", "flame_param", "lights"}:
             (self._folder / name).mkdir(parents=True, exist_ok=True)
         self._write_facts()
         self._write_lights()
-        self._write_parameters()
-        total = len(self._plan.takes())
+        self._write_export(self._folder, [self._performance.frame(i) for i in range(len(self._performance))])
+        self._write_transforms()
+        if self._plan.orbit:
+            self._write_export(self._folder / ORBIT, self._held)
+            self._write_orbit()
+        total = len(every)
         with tqdm(total=total, initial=total - len(takes), unit="picture", dynamic_ncols=True) as bar:
-            for frame, of_frame in groupby(takes, key=lambda take: take.frame):
-                posed = self._studio.pose(self._performance.frame(frame))
-                for take in of_frame:
-                    bar.set_description(f"frame {frame} under {take.light}")
+            for (pose, of_orbit), of_pose in groupby(takes, key=lambda take: (take.pose, bool(take.view))):
+                posed = self._studio.pose(self._held[pose] if of_orbit else self._performance.frame(pose))
+                for take in of_pose:
+                    bar.set_description(str(take))
                     self._take(take, posed)
                     bar.update()
 
     def _take(self, take: Take, posed: PosedSkin) -> None:
         """Take one picture and write its files, each whole."""
-        seed = number_of(self._plan.seed, Purpose.RAYS, take.frame, self._plan.lights.index(take.light))
-        picture = self._studio.take(posed, self._lights[take.light].tables, seed=seed)
+        sky, camera = self._lights[take.light].tables, self._studio.camera
+        if take.view is None:
+            seed = number_of(self._plan.seed, Purpose.RAYS, take.pose, self._plan.lights.index(take.light))
+        else:
+            camera = orbit_camera(camera, take.view)
+            seed = number_of(
+                self._plan.seed, Purpose.ORBIT, take.pose, take.view.yaw % 360, take.view.pitch % 360
+            )
+        picture = self._studio.take(posed, sky, seed=seed, camera=camera)
         for layer in take.layers:
             with whole_file(self._folder / layer / take.file) as path:
-                write_png(path, self._layer(layer, picture, take.frame))
+                write_png(path, self._layer(layer, picture, take.pose))
 
     def _layer(self, layer: str, picture: Picture, frame: int) -> np.ndarray:
         """What of a picture goes into one of the dataset's folders, display values."""
-        if layer == "fg_masks":
+        if layer.endswith("fg_masks"):
             return picture.coverage.numpy()
         if layer == "albedo":
             return self._estimated_albedo(picture, frame)
@@ -124,6 +140,12 @@ class _Maker:
             return on_white(picture.albedo, picture.coverage)
         if layer == "gt/normal":
             return (0.5 + 0.5 * picture.normal).numpy()
+        if layer in FINISH_LAYERS:
+            return np.rint(65535.0 * picture.finish[..., FINISH_LAYERS.index(layer)].numpy()).astype(
+                np.uint16
+            )
+        if layer.startswith("gt/highlights/"):
+            return encode_srgb(picture.specular).numpy()
         return developed(picture)
 
     def _estimated_albedo(self, picture: Picture, index: int) -> np.ndarray:
@@ -149,10 +171,30 @@ class _Maker:
         rows = {key: values[None] for key, values in arrays.items()}
         return {**rows, "shape": self._cast.identity.numpy()}
 
-    def _write_parameters(self) -> None:
-        for index in range(len(self._performance)):
-            arrays = self._arrays(self._performance.frame(index))
-            np.savez(self._folder / "flame_param" / f"{index:05d}.npz", **arrays)
+    def _write_export(self, folder: Path, poses: Sequence[FrameParameters]) -> None:
+        """What makes a folder a VHAP export, but for its lists of frames: template, identity and poses."""
+        (folder / "flame_param").mkdir(exist_ok=True)
+        save_template(self._cast.template, folder / "template.npz")
+        np.savez(folder / CANONICAL_FILE, **self._arrays(Rig.build(self._cast.template).rest()))
+        for index, pose in enumerate(poses):
+            np.savez(folder / "flame_param" / f"{index:05d}.npz", **self._arrays(pose))
+
+    def _write_transforms(self) -> None:
+        camera, train = self._studio.camera, self._plan.train
+        frames = [entry(film_name(index), camera, timestep=index) for index in range(len(self._performance))]
+        write_transforms(self._folder, camera, {"train": frames[:train], "val": [], "test": frames[train:]})
+
+    def _write_orbit(self) -> None:
+        """The orbit's lists: all is to test on but the neutral pose from the front, which training saw."""
+        camera, frames, angles = self._studio.camera, [], []
+        for pose, kind in enumerate(POSES):
+            for index, view in enumerate(self._plan.orbit):
+                name, seen = view_name(pose, view), orbit_camera(camera, view)
+                frames.append(entry(name, seen, timestep=pose, camera_index=index))
+                angles.append({"name": name, "pose": kind, "yaw": view.yaw, "pitch": view.pitch})
+        folder = self._folder / ORBIT
+        write_transforms(folder, camera, {"train": frames[:1], "val": [], "test": frames[1:]})
+        (folder / "orbit.json").write_text(_json({"frames": angles}), encoding="utf-8")
 
     def _write_lights(self) -> None:
         for light in self._lights.values():
@@ -166,54 +208,9 @@ class _Maker:
                 )
 
     def _write_facts(self) -> None:
-        """The template, the identity, the lists of frames, and what the dataset is."""
-        save_template(self._cast.template, self._folder / "template.npz")
-        rest = self._arrays(Rig.build(self._cast.template).rest())
-        np.savez(self._folder / CANONICAL_FILE, **rest)
-        frames = [_entry(index, self._studio.camera) for index in range(len(self._performance))]
-        train = self._plan.train
-        for name, part in {"": frames, "_train": frames[:train], "_val": [], "_test": frames[train:]}.items():
-            (self._folder / f"transforms{name}.json").write_text(
-                _listing(part, self._studio.camera), encoding="utf-8"
-            )
+        """What the dataset is."""
         facts = _facts(self._plan, self._performance)
         (self._folder / "dataset.json").write_text(_json(facts), encoding="utf-8")
-
-
-def _entry(index: int, camera: Camera) -> dict[str, object]:
-    """One frame of a transforms file."""
-    camera_to_world = torch.linalg.inv(camera.world_to_camera.double())
-    camera_to_world[:, 1:3] *= -1.0
-    return {
-        "timestep_index": index,
-        "timestep_index_original": index,
-        "timestep_id": f"{index:05d}",
-        "camera_index": 0,
-        "camera_id": "00",
-        **_intrinsics(camera),
-        "transform_matrix": (camera_to_world + 0.0).tolist(),
-        "file_path": f"images/{index:05d}_00.png",
-        "fg_mask_path": f"fg_masks/{index:05d}_00.png",
-        "flame_param_path": f"flame_param/{index:05d}.npz",
-    }
-
-
-def _listing(frames: list[dict[str, object]], camera: Camera) -> str:
-    steps = [frame["timestep_index"] for frame in frames]
-    return _json({**_intrinsics(camera), "timestep_indices": steps, "camera_indices": [0], "frames": frames})
-
-
-def _intrinsics(camera: Camera) -> dict[str, float]:
-    return {
-        "cx": camera.cx,
-        "cy": camera.cy,
-        "fl_x": camera.fx,
-        "fl_y": camera.fy,
-        "h": camera.height,
-        "w": camera.width,
-        "camera_angle_x": 2.0 * math.atan(0.5 * camera.width / camera.fx),
-        "camera_angle_y": 2.0 * math.atan(0.5 * camera.height / camera.fy),
-    }
 
 
 def _facts(plan: SubjectPlan, performance: Performance) -> dict[str, object]:
@@ -235,13 +232,21 @@ def _facts(plan: SubjectPlan, performance: Performance) -> dict[str, object]:
         "light": "direction d sees the map's column u = 0.5 + atan2(d.x, -d.z)/(2 pi) + azimuth/360 (mod 1) "
         "and row from the top acos(d.y)/pi, times exposure",
         "exposure_rule": "0.8 / (0.5 x mean radiance + 0.5 x irradiance on a surface facing +z / pi), "
-        "by Rec.709 luminance",
+        "by Rec.709 luminance; the lamp's irradiance on a surface that faces it is pi",
         "albedo": "pseudo-albedo of train frames: true diffuse colour, blurred by "
         f"{ALBEDO_BLUR * plan.size:g} px, gain jittered {100 * ALBEDO_GAIN:g} %; sRGB encoded, on white",
         "gt/albedo": "true diffuse colour of test frames, sRGB encoded, on white",
         "gt/normal": "test frames, world space, (n+1)/2, shading normals with bumps",
+        "gt/roughness": "perceptual roughness (its square is GGX's alpha) of test frames, 16 bits over "
+        "0 to 1, the mean over what a pixel holds of the head; 0 where that is nothing",
+        "gt/specular": "reflectance at normal incidence of test frames, encoded likewise",
         "gt/relight/<light>": "test frames under another light; "
         "<light>.json has file, azimuth_degrees, exposure",
+        "gt/highlights/<light>": "the specular light alone of those frames, sRGB encode(linear radiance "
+        "x exposure), clipped, the mean over what a pixel holds of the head; 0 where that is nothing",
+        "gt/orbit": "a dataset of its own: two poses held, filmed from around under the light of images/; "
+        "orbit.json says yaw (degrees from +z towards +x) and pitch (above the horizon) of each picture; all "
+        "but the first are test frames",
         "gt/capture_light.json": "the light of images/",
     }
 

@@ -82,14 +82,19 @@ class Picture(NamedTuple):
     Attributes:
         radiance: (H, W, 3) float32 linear, the mean over what a pixel holds of the head; 0 where that is
             nothing.
+        specular: (H, W, 3) float32 linear, what of the radiance the surface mirrors, likewise.
         albedo: (H, W, 3) float32 linear diffuse reflectance, likewise.
+        finish: (H, W, 3) float32 roughness, reflectance at normal incidence, and how much the surface
+            scatters light below it, likewise.
         normal: (H, W, 3) float32 unit shading normals in world space, 0 where there is no head.
         coverage: (H, W) float32 share of the pixel.
         error: (H, W) float32 standard error of the radiance's luminance.
     """
 
     radiance: Tensor
+    specular: Tensor
     albedo: Tensor
+    finish: Tensor
     normal: Tensor
     coverage: Tensor
     error: Tensor
@@ -169,8 +174,10 @@ class _Sums(NamedTuple):
         drawn: (P, 3) estimates of it.
         seen: (P, 3) what of the estimates comes from where the surface sees the sky.
         rest: (P, 3) all other light.
+        specular: (P, 3) what of it is specular.
         products: (P, 3) squares and product of the luminance of ``seen + rest`` and of ``drawn - open``.
         albedo: (P, 3) diffuse reflectance.
+        finish: (P, 3) roughness, reflectance and scattering.
         normal: (P, 3) shading normals.
         hits: (P,) int32 number of the samples.
     """
@@ -179,8 +186,10 @@ class _Sums(NamedTuple):
     drawn: Tensor
     seen: Tensor
     rest: Tensor
+    specular: Tensor
     products: Tensor
     albedo: Tensor
+    finish: Tensor
     normal: Tensor
     hits: Tensor
 
@@ -227,7 +236,9 @@ class _Sums(NamedTuple):
         shape, each = (camera.height, camera.width), self._each()
         return Picture(
             radiance=self.light().view(*shape, 3),
+            specular=(self.specular / each).view(*shape, 3),
             albedo=(self.albedo / each).view(*shape, 3),
+            finish=(self.finish / each).view(*shape, 3),
             normal=torch.nn.functional.normalize(self.normal, dim=1).view(*shape, 3),
             coverage=(self.hits / counts).view(shape),
             error=self.error().view(shape),

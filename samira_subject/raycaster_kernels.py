@@ -172,12 +172,14 @@ class LightParts:
         drawn: An estimate of the same from drawn directions.
         seen: What of ``drawn`` comes from where the surface sees the sky.
         rest: Specular light, and what other surfaces send back.
+        specular: What of ``rest`` is specular.
     """
 
     open: wp.vec3
     drawn: wp.vec3
     seen: wp.vec3
     rest: wp.vec3
+    specular: wp.vec3
 
 
 @wp.func
@@ -224,7 +226,9 @@ def _shade(
             light.drawn += diffuse
             if _sees_sky(head, surface, sample.direction):
                 light.seen += diffuse
-                light.rest += reflect_specular(surface, sample.direction) * sample.radiance / chance
+                highlight = reflect_specular(surface, sample.direction) * sample.radiance / chance
+                light.rest += highlight
+                light.specular += highlight
 
     # where the surface reflects: there the head may stand before the sky, and send light of its own
     for draw in range(lobes):
@@ -242,9 +246,11 @@ def _shade(
             if hit.result:
                 bounced = _bounced_light(head, sky, hit, direction, number, seed)
                 light.rest += wp.cw_mul(reflected + wp.vec3(specular), bounced) / by_lobe
+                light.specular += specular * bounced / by_lobe
             else:
                 light.seen += diffuse
                 light.rest += specular * sample.radiance / chance
+                light.specular += specular * sample.radiance / chance
     return light
 
 
@@ -324,8 +330,10 @@ def trace_pixels(
     drawn_sums: wp.array[wp.vec3],
     seen_sums: wp.array[wp.vec3],
     rest_sums: wp.array[wp.vec3],
+    specular_sums: wp.array[wp.vec3],
     product_sums: wp.array[wp.vec3],
     albedo_sums: wp.array[wp.vec3],
+    finish_sums: wp.array[wp.vec3],
     normal_sums: wp.array[wp.vec3],
     hits: wp.array[wp.int32],
 ) -> None:
@@ -357,7 +365,9 @@ def trace_pixels(
             drawn_sums[pixel] += light.drawn
             seen_sums[pixel] += light.seen
             rest_sums[pixel] += light.rest
+            specular_sums[pixel] += light.specular
             product_sums[pixel] += wp.vec3(found * found, found * excess, excess * excess)
             albedo_sums[pixel] += surface.albedo
+            finish_sums[pixel] += wp.vec3(surface.roughness, surface.specular, surface.scatter)
             normal_sums[pixel] += surface.normal
             hits[pixel] += 1

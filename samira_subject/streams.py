@@ -16,6 +16,7 @@ class Purpose(IntEnum):
     RAYS = 4
     ALBEDO = 5
     PAINT = 6
+    ORBIT = 7
 
 
 def generator_of(seed: int, purpose: Purpose, *numbers: int) -> np.random.Generator:

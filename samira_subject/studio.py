@@ -109,10 +109,17 @@ class Studio:
             slopes = self._materials.relief(parameters.expression, opening)
             return PosedSkin(self._skin, vertices, slopes)
 
-    def take(self, posed: PosedSkin, sky: SkyTables, *, seed: int) -> Picture:
-        """A picture under a sky, exposed; ``seed`` decides every number drawn."""
+    def take(self, posed: PosedSkin, sky: SkyTables, *, seed: int, camera: Camera | None = None) -> Picture:
+        """A picture under a sky, exposed.
+
+        Args:
+            posed: The head.
+            sky: The light.
+            seed: Decides every number drawn.
+            camera: The view; None is the studio's own.
+        """
         with threads(self._threads):
-            return posed.render(self.camera, sky, effort=self._effort, seed=seed)
+            return posed.render(camera or self.camera, sky, effort=self._effort, seed=seed)
 
     def _refined_mask(self, template: HeadTemplate, name: str) -> Tensor:
         """(V',) bool: the vertices of the finer mesh that lie in a mask, with all that they come from."""

@@ -139,6 +139,24 @@ def tiny_run(tiny_dataset, made_once):
 
 
 @pytest.fixture(scope="session")
+def stand_in_dataset(made_once):
+    """What is made of a subject, of a made-up sphere with eyes instead: truth, relit frames, orbit.
+
+    Tests that change it copy it first.
+    """
+    from subject.stand_in import PLAN, stand_in
+
+    from samira_subject.make import make_subject
+    from samira_subject.studio import threads
+
+    def make(folder):
+        with threads(2):
+            make_subject(folder, PLAN, stand_in)
+
+    return made_once("stand-in", make)
+
+
+@pytest.fixture(scope="session")
 def built_in_datasets(made_once):
     """Folders of the built-in subject's film in every layout, by its name; the first five of eight frames of
     64 x 64 pixels train.

@@ -17,12 +17,13 @@ from functools import partial
 from pathlib import Path
 
 from samira_subject.cast import build_cast
-from samira_subject.lights import DatasetLight, panorama_of
+from samira_subject.lights import BUILT_IN, DatasetLight, panorama_of
 from samira_subject.make import make_subject
+from samira_subject.orbit import VIEWS
 from samira_subject.performance import perform
 from samira_subject.plan import SIZE, TEXELS, SubjectPlan
 from samira_subject.raycaster import Effort
-from samira_subject.sky import CAPTURE, SKIES
+from samira_subject.sky import CAPTURE
 from samira_subject.studio import Studio, developed
 from samira_warp.io.alone import alone
 from samira_warp.io.images import write_png
@@ -57,6 +58,8 @@ class SubjectConfig:
     """Frames to test on."""
     relit: int = 10
     """How many of those are taken under each of the other lights as well."""
+    orbit: bool = True
+    """Film gt/orbit as well: two poses held, from all around."""
     preview: Path | None = None
     """The .png file of one picture of the head alone."""
     preview_size: int = 1024
@@ -64,8 +67,8 @@ class SubjectConfig:
     frame: int = 0
     """Which frame it shows; the first one is at rest."""
     light: str | None = None
-    """The light of the pictures: a built-in one (studio, window, dusk, stage) or a map (.hdr, .exr); default
-    studio, or none beside --lights."""
+    """The light of the pictures: a built-in one (studio, window, dusk, stage, lamp) or a map (.hdr, .exr);
+    default studio, or none beside --lights."""
     lights: Path | None = None
     """Lamps, a .json file (docs/relighting.md): added to --light, or the only light."""
     rotate: float = 0.0
@@ -134,10 +137,10 @@ def _read_lights(config: SubjectConfig) -> list[DatasetLight]:
     """
     rig = None if config.lights is None else LightRig.load(config.lights)
     own = CAPTURE if config.light is None and rig is None else config.light
-    is_built_in = own in SKIES and rig is None and config.rotate == 0.0
+    is_built_in = own in BUILT_IN and rig is None and config.rotate == 0.0
     name = str(own) if is_built_in else CAPTURE_NAME
-    others = config.relight or tuple(sky for sky in SKIES if sky != name)
-    names = [name, *(what if what in SKIES else Path(what).stem for what in others)]
+    others = config.relight or tuple(light for light in BUILT_IN if light != name)
+    names = [name, *(what if what in BUILT_IN else Path(what).stem for what in others)]
     for other in names[1:]:
         if names.count(other) > 1 or other == CAPTURE_NAME:
             found = f"{other!r}, which the light of the pictures or another one is called"
@@ -162,12 +165,12 @@ def _light(
     rotate: float = 0.0,
     exposure: float | None = None,
 ) -> DatasetLight:
-    """A built-in sky or a map, with lamps or without; None is lamps alone.
+    """A built-in light or a map, with lamps or without; None is lamps alone.
 
     Raises:
         UserError: It cannot be read, or is black.
     """
-    if what == name and name in SKIES:
+    if what == name and name in BUILT_IN:
         return DatasetLight(name, exposure=exposure)
     radiance = panorama_of(what, rig, rotate=rotate)
     if not bool(radiance.any()):
@@ -186,6 +189,7 @@ def _make_dataset(config: SubjectConfig, out: Path, lights: list[DatasetLight]) 
         config.resolution,
         texels,
         lights=tuple(light.name for light in lights),
+        orbit=VIEWS if config.orbit else (),
     )
     out.parent.mkdir(parents=True, exist_ok=True)
     with alone(out, what="a subject"):

@@ -148,17 +148,20 @@ def read_labels(path: Path) -> np.ndarray:
 
 
 def write_png(path: Path, array: np.ndarray) -> None:
-    """Write display values as an 8-bit PNG; what is outside 0..1 is clipped.
+    """Write display values as an 8-bit PNG, clipped to 0..1, or whole numbers as they are.
 
     Args:
         path: Where to; its folder must exist.
-        array: (H, W), (H, W, 1), (H, W, 3) or, with straight alpha, (H, W, 4) floats in 0..1, or uint8 as
-            they are.
+        array: (H, W), (H, W, 1), (H, W, 3) or, with straight alpha, (H, W, 4) floats in 0..1, or uint8
+            or uint16.
 
     Raises:
         OSError: The file cannot be written.
     """
-    _write(path, array if array.dtype == np.uint8 else to_uint8(array), oiio.UINT8)
+    if array.dtype == np.uint16:
+        _write(path, array, oiio.UINT16)
+    else:
+        _write(path, array if array.dtype == np.uint8 else to_uint8(array), oiio.UINT8)
 
 
 def write_exr(path: Path, array: np.ndarray) -> None:

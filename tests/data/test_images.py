@@ -12,6 +12,7 @@ from skimage.transform import downscale_local_mean
 
 from samira_warp.io.images import (
     image_size,
+    read_channels,
     read_image,
     read_labels,
     read_on_white,
@@ -28,6 +29,14 @@ from samira_warp.support.errors import UserError
 @pytest.fixture
 def noise():
     return np.random.default_rng(0).integers(0, 256, (6, 9, 4), dtype=np.uint8)
+
+
+def test_whole_numbers_of_16_bits_come_back_exactly(tmp_path):
+    numbers = np.arange(0, 65536, 257, dtype=np.uint16).reshape(16, 16)
+    write_png(tmp_path / "grey.png", numbers)
+    assert read_channels(tmp_path / "grey.png").full_scale == 65535
+    found = read_image(tmp_path / "grey.png", channels=1)[..., 0]
+    np.testing.assert_allclose(found, numbers / 65535.0, rtol=1e-6)
 
 
 def test_an_8_bit_png_comes_back_exactly(tmp_path, noise):

@@ -19,6 +19,7 @@ from subjects import small_template  # noqa: E402
 
 from samira_subject import make  # noqa: E402
 from samira_subject.make import make_subject  # noqa: E402
+from samira_subject.orbit import View  # noqa: E402
 from samira_subject.plan import SubjectPlan  # noqa: E402
 from samira_subject.raycaster import Effort  # noqa: E402
 from samira_subject.studio import Cast  # noqa: E402
@@ -32,6 +33,7 @@ PLAN = SubjectPlan(
     size=48,
     texels=32,
     effort=Effort(samples=2, lights=2, lobes=1, more=2, rounds=1),
+    orbit=(View(0, 0), View(90, 0), View(0, 40)),
 )
 NAMES = ("mouthSmile_L", "mouthSmile_R", "eyeBlink_L", "browInnerUp")
 

@@ -3,6 +3,7 @@
 import importlib
 import io
 import json
+import math
 import os
 import signal
 import subprocess
@@ -22,8 +23,8 @@ from samira_subject.lights import panorama_of, resampled
 from samira_subject.make import make_subject
 from samira_subject.performance import perform
 from samira_subject.plan import VERSION
-from samira_subject.sky import CAPTURE, SKIES
-from samira_subject.studio import threads
+from samira_subject.sky import CAPTURE
+from samira_subject.studio import DISTANCE
 from samira_warp.data import open_sequence
 from samira_warp.head import Rig
 from samira_warp.io.files import read_json
@@ -35,13 +36,10 @@ from samira_warp.support.cli import run
 SCRIPT = TESTS / "subject" / "stand_in.py"
 
 
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory):
+@pytest.fixture
+def dataset(stand_in_dataset):
     """The stand-in's dataset, made by two threads."""
-    folder = tmp_path_factory.mktemp("made") / "subject"
-    with threads(2):
-        make_subject(folder, PLAN, stand_in)
-    return folder
+    return stand_in_dataset
 
 
 def command(folder, *options, threads=1):
@@ -75,18 +73,18 @@ def test_it_opens_with_the_frames_and_parameters_that_were_played(dataset):
 
 def test_everything_that_the_layout_names_is_there(dataset):
     tests = [f"{index:05d}_00.png" for index in range(PLAN.train, PLAN.train + PLAN.test)]
-    for layer in ("albedo", "normal"):
+    for layer in ("albedo", "normal", "roughness", "specular"):
         assert sorted(path.name for path in (dataset / "gt" / layer).iterdir()) == tests
-    for name in SKIES:
+    for name in PLAN.lights:
+        relit = tests[: PLAN.relit]
+        assert [path.name for path in (dataset / "gt" / "highlights" / name).iterdir()] == relit
         described = dataset / "gt" / ("capture_light.json" if name == CAPTURE else f"relight/{name}.json")
         light = read_json(described)
         assert Environment.load(
             dataset / light["file"], rotate=light["azimuth_degrees"], exposure=light["exposure"], size=32
         )
         if name != CAPTURE:
-            assert [path.name for path in (dataset / "gt" / "relight" / name).iterdir()] == tests[
-                : PLAN.relit
-            ]
+            assert [path.name for path in (dataset / "gt" / "relight" / name).iterdir()] == relit
     facts = read_json(dataset / "dataset.json")
     assert (facts["frames"], facts["seed"]) == (PLAN.train + PLAN.test, PLAN.seed)
     assert json.loads((dataset / "transforms_val.json").read_text())["frames"] == []
@@ -108,8 +106,59 @@ def test_pictures_stand_on_white_and_normals_are_unit_vectors(dataset):
             np.testing.assert_allclose(lengths[mask[..., 0] == 0], 0.0, atol=1.01 * np.sqrt(3) / 255)
 
 
-def test_the_tracked_mesh_lies_on_the_masks(dataset):
-    sequence = open_sequence(dataset)
+def test_the_surface_is_written_as_it_is(dataset):
+    """The stand-in's finish is everywhere the same: 16 bits of it, and nothing where there is no head."""
+    for index in range(PLAN.train, PLAN.train + PLAN.test):
+        name = f"{index:05d}_00.png"
+        head = read_image(dataset / "fg_masks" / name, channels=1) > 0
+        for layer, value in (("roughness", 0.5), ("specular", 0.03)):
+            found = read_image(dataset / "gt" / layer / name, channels=1)
+            np.testing.assert_allclose(found, value * head, atol=0.5 / 65535 + 1e-7)
+
+
+def test_specular_light_is_some_of_the_light(dataset):
+    name = f"{PLAN.train:05d}_00.png"
+    mask = read_image(dataset / "fg_masks" / name, channels=1)[..., 0]
+    for light in PLAN.lights:
+        folder = dataset / ("images" if light == CAPTURE else f"gt/relight/{light}")
+        picture, mirrored = (
+            read_image(path / name, channels=3) for path in (folder, dataset / "gt" / "highlights" / light)
+        )
+        # both are rounded to a byte
+        assert (mirrored[mask == 1] <= picture[mask == 1] + 1.01 / 255).all()
+        assert mirrored[mask == 1].mean() > 0.02
+
+
+def test_the_orbit_is_a_dataset_of_two_poses_from_around(dataset):
+    """It opens by itself, all but what training saw is to test on, and cameras stand where names say."""
+    film, orbit = open_sequence(dataset), open_sequence(dataset / "gt" / "orbit")
+    assert [orbit.frames[index].name for index in orbit.train] == ["neutral_yaw+000_pitch+00"]
+    assert len(orbit.frames) == 2 * len(PLAN.orbit)
+    assert (orbit.template.hash, orbit.notes) == (film.template.hash, ())
+    assert torch.equal(orbit.shape, film.shape)
+    angles = {row["name"]: row for row in read_json(dataset / "gt" / "orbit" / "orbit.json")["frames"]}
+    middle = film.frames[0].camera.center - torch.tensor([0.0, 0.0, DISTANCE])
+    for frame in orbit.frames:
+        yaw, pitch = (math.radians(angles[frame.name][key]) for key in ("yaw", "pitch"))
+        ahead = [math.cos(pitch) * math.sin(yaw), math.sin(pitch), math.cos(pitch) * math.cos(yaw)]
+        found = frame.camera.center - middle
+        torch.testing.assert_close(found, DISTANCE * torch.tensor(ahead), rtol=0.0, atol=1e-6)
+        # the middle of the head is in the middle of the picture, and up is up
+        seen = frame.camera.world_to_camera @ torch.tensor([*middle.tolist(), 1.0])
+        torch.testing.assert_close(seen, torch.tensor([0.0, 0.0, DISTANCE, 1.0]), rtol=0.0, atol=1e-6)
+        assert frame.camera.world_to_camera[1, 1] < -0.7
+        assert abs(frame.camera.world_to_camera[0, 1]) < 1e-6
+        assert not frame.parameters.rotations[:2].any()
+        assert 0.1 < read_image(frame.mask_path, channels=1).mean() < 0.9
+    poses = [orbit.frames[row].parameters for row in (0, -1)]
+    assert torch.equal(poses[0].expression, film.frames[0].parameters.expression)
+    widest = max((film.frames[index].parameters for index in film.test), key=lambda p: p.rotations[2, 0])
+    assert torch.equal(poses[1].rotations[2:], widest.rotations[2:])
+
+
+@pytest.mark.parametrize("which", ["film", "orbit"])
+def test_the_tracked_mesh_lies_on_the_masks(dataset, which):
+    sequence = open_sequence(dataset if which == "film" else dataset / "gt" / "orbit")
     rig = Rig.build(sequence.template)
     for frame in sequence.frames:
         camera, vertices = frame.camera, rig.pose(frame.parameters, sequence.shape).vertices
@@ -162,13 +211,13 @@ def test_what_ended_early_goes_on_to_the_same_bytes(dataset, tmp_path, number, s
     (half,) = halves(tmp_path)
     assert [path.name for path in tmp_path.iterdir() if "lock" not in path.name] == [half.name]
     if number == signal.SIGINT:
-        kept = f"stopped: 2 of 8 pictures are kept in {half}; the same command goes on with the others\n"
+        kept = f"stopped: 2 of 15 pictures are kept in {half}; the same command goes on with the others\n"
         assert said[-1] == kept
     whole = (half / "images" / "00001_00.png").stat().st_ino
 
     again = command(folder)
     assert again.wait(timeout=300) == 0, again.stderr.read()
-    assert f"going on where it stopped: 2 of 8 pictures are kept in {half}\n" in again.stderr.read()
+    assert f"going on where it stopped: 2 of 15 pictures are kept in {half}\n" in again.stderr.read()
     assert (folder / "images" / "00001_00.png").stat().st_ino == whole
     assert contents(folder) == contents(dataset)
     assert list(tmp_path.iterdir()) == [folder]
@@ -183,7 +232,7 @@ def test_ctrl_c_is_heard_while_rays_are_cast(tmp_path):
     process.send_signal(signal.SIGINT)
     assert process.wait(timeout=60) == 130
     said = process.stderr.read()
-    assert "of 505 pictures are kept in" in said.splitlines()[-1]
+    assert "of 512 pictures are kept in" in said.splitlines()[-1]
     assert "Traceback" not in said
     (half,) = halves(tmp_path)
     for path in half.glob("images/[0-9]*.png"):
@@ -217,7 +266,7 @@ def test_a_full_disk_keeps_what_it_took(dataset, tmp_path, full_disk, monkeypatc
         make_subject(folder, PLAN, stand_in)
     (half,) = tmp_path.iterdir()
     line = capsys.readouterr().err.splitlines()[-1]
-    assert line == f"stopped: 2 of 8 pictures are kept in {half}; the same command goes on with the others"
+    assert line == f"stopped: 2 of 15 pictures are kept in {half}; the same command goes on with the others"
     monkeypatch.undo()
     make_subject(folder, PLAN, stand_in)
     assert contents(folder) == contents(dataset)
@@ -308,7 +357,7 @@ def tool(monkeypatch):
     )
 
     def make(out, *options):
-        sizes = ("--train", 1, "--test", 2, "--relit", 1, "--resolution", 48)
+        sizes = ("--train", 1, "--test", 2, "--relit", 1, "--resolution", 48, "--no-orbit")
         arguments = [str(word) for word in ("--out", out, *sizes, *options)]
         assert run(module.main, module.SubjectConfig, program="make_subject", arguments=arguments) == 0
         return out
@@ -335,6 +384,7 @@ def test_a_film_under_a_users_lights_and_its_truth_under_others(tool, sun, tmp_p
     table = importlib.import_module("relight_table")
     lights = {light.name: light for light in table.read_lights(folder)}
     assert list(lights) == ["dusk", "hall", "capture"]
+    assert not (folder / "gt" / "orbit").exists()
     for name in ("dusk", "hall"):
         assert [path.name for path in lights[name].truth.iterdir()] == ["00001_00.png"]
     assert read_json(folder / "gt" / "capture_light.json")["exposure"] == 1.5

@@ -105,6 +105,27 @@ def test_a_mirror_sphere_reflects_no_more_than_it_receives(roughness, least, mos
     assert least - 4 * error < mean < most + 4 * error
 
 
+def test_mirrored_light_is_apart():
+    """Of a black body it is all of the light, of a matte one none, of both what it is of the first."""
+    sky = SkyTables.build(paint_sky(SKIES["stage"], height=32))
+    stuff = [(0.0, 0.2), (0.4, 0.0), (0.4, 0.2)]
+    black, matte, both = (
+        sphere(albedo=albedo, specular=specular).render(camera(field=0.15), sky, effort=EVEN, seed=1)
+        for albedo, specular in stuff
+    )
+    # the same float32 sums, and one product more
+    torch.testing.assert_close(black.specular, black.radiance, rtol=1e-5, atol=1e-6)
+    assert black.specular.max() > 0.1
+    assert not matte.specular.any()
+    assert matte.radiance.max() > 0.1
+    # a convex body sends itself no light, and draws depend on its shape and roughness alone
+    torch.testing.assert_close(both.specular, black.specular, rtol=1e-5, atol=1e-6)
+    inside = both.coverage > 0
+    for picture, (_, specular) in zip((black, matte, both), stuff, strict=True):
+        expected = torch.tensor([0.5, specular, 0.0]).expand(int(inside.sum()), 3)
+        torch.testing.assert_close(picture.finish[inside], expected, rtol=1e-5, atol=1e-6)
+
+
 def brute_force(radiance, *, albedo, roughness, specular, finer=8):
     """(3,) float64 radiance towards +z of a surface that faces +z: the sum over a sky whose texels are each
     cut into many."""
