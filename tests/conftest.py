@@ -22,14 +22,17 @@ WORKER = "PYTEST_XDIST_WORKER" in os.environ
 SUBJECT = Path(__file__).resolve().parents[2] / "shared" / "data" / "heads" / "ict_a"
 
 LONG_FILES = (
-    "test_resume.py",
-    "test_command.py",
     "test_own_tracker.py",
     "test_readme.py",
     "test_hard_films.py",
-    "test_prepare.py",
+    "test_resume.py",
     "test_make.py",
+    "test_command.py",
+    "test_prepare.py",
     "test_examples.py",
+    "test_loading.py",
+    "test_relighting.py",
+    "test_occlusion.py",
     "test_blending_cuda.py",
 )
 """What workers begin with, so that none is left with one of these at the end."""

@@ -16,6 +16,7 @@ import torch
 from filelock import FileLock
 from stand_in import NAMES, PLAN, contents, stand_in
 from subjects import TESTS
+from warm_start import warm_python
 
 from samira_subject import make, plan
 from samira_subject.lights import panorama_of, resampled
@@ -47,7 +48,7 @@ def dataset(tmp_path_factory):
 def command(folder, *options, threads=1):
     environment = {**os.environ, "OMP_NUM_THREADS": str(threads)}
     return subprocess.Popen(
-        [sys.executable, str(SCRIPT), "--out", str(folder), *options],
+        [*warm_python(), str(SCRIPT), "--out", str(folder), *options],
         env=environment,
         stderr=subprocess.PIPE,
         text=True,
