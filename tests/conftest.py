@@ -22,18 +22,24 @@ WORKER = "PYTEST_XDIST_WORKER" in os.environ
 SUBJECT = Path(__file__).resolve().parents[2] / "shared" / "data" / "heads" / "ict_a"
 
 LONG_FILES = (
-    "test_resume.py",
-    "test_command.py",
     "test_own_tracker.py",
     "test_readme.py",
     "test_hard_films.py",
-    "test_prepare.py",
+    "test_resume.py",
     "test_make.py",
+    "test_command.py",
+    "test_prepare.py",
     "test_examples.py",
+    "test_loading.py",
+    "test_relighting.py",
+    "test_occlusion.py",
     "test_blending_cuda.py",
 )
-"""What workers begin with, so that none is left with one of these at the end. The first two compare the bits
-of runs, which are those of a fresh process: in one that has tracked films they were seen to differ."""
+"""What workers begin with, so that none is left with one of these at the end."""
+
+THREADS = torch.get_num_threads()
+"""Torch's before any test. Runs that are compared to the bit, some made by processes of their own, need as
+many."""
 
 DEVICES = ["cpu", pytest.param("cuda", marks=pytest.mark.gpu)]
 
@@ -77,6 +83,16 @@ def use_threads():
     before = torch.get_num_threads()
     yield torch.set_num_threads
     torch.set_num_threads(before)
+
+
+@pytest.fixture(autouse=True)
+def _kept_threads():
+    """A test, or what it loads, leaves torch the threads that it had."""
+    yield
+    threads = torch.get_num_threads()
+    if threads != THREADS:
+        torch.set_num_threads(THREADS)
+    assert threads == THREADS
 
 
 @pytest.fixture

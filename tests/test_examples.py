@@ -1,13 +1,13 @@
 """Every program of examples/, run as a user runs it, and what it wrote."""
 
 import subprocess
-import sys
 
 import numpy as np
 import pytest
 from data.built_in import built_in_film, for_layout
 from data.layouts import write_layout
 from subjects import TESTS
+from warm_start import warm_python
 
 from samira_subject.head import build_head
 from samira_warp.head import save_template
@@ -18,7 +18,7 @@ EXAMPLES = TESTS.parent / "examples"
 
 def run_example(name, *options, folder):
     """The program in a process of its own, whose working directory is not the repository."""
-    command = [sys.executable, str(EXAMPLES / name), *map(str, options)]
+    command = [*warm_python(), str(EXAMPLES / name), *map(str, options)]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=300, check=False)
     assert done.returncode == 0, done.stderr
 

@@ -6,6 +6,7 @@ import pytest
 import torch
 from plyfile import PlyData
 from subjects import TESTS
+from warm_start import warm_python
 
 from samira_warp import Avatar
 from samira_warp.avatar import read_frames
@@ -47,7 +48,7 @@ def columns(vertex, *names):
 
 def test_the_tool_itself_writes_the_standard_columns_in_order(tiny_run, tmp_path):
     path = tmp_path / "avatar.ply"
-    command = [sys.executable, str(TOOL), "--avatar", str(tiny_run), "--out", str(path)]
+    command = [*warm_python(), str(TOOL), "--avatar", str(tiny_run), "--out", str(path)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stderr
     vertex = PlyData.read(str(path))["vertex"]

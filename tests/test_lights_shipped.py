@@ -1,11 +1,11 @@
 """The lights that come with the package."""
 
 import subprocess
-import sys
 
 import numpy as np
 import pytest
 from subjects import TESTS
+from warm_start import warm_python
 
 from samira_subject.sky import SKIES
 from samira_warp import Environment
@@ -17,7 +17,7 @@ SHIPPED = TESTS.parent / "samira_warp" / "assets" / "lights"
 
 
 def test_the_tool_paints_what_is_there(tmp_path):
-    command = [sys.executable, str(TOOL), "--out", str(tmp_path)]
+    command = [*warm_python(), str(TOOL), "--out", str(tmp_path)]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == 0, done.stderr
     assert {path.name for path in tmp_path.iterdir()} == {path.name for path in SHIPPED.iterdir()}

@@ -1,10 +1,10 @@
 """``tools/overview.py``: one labelled row of pictures."""
 
 import subprocess
-import sys
 
 import numpy as np
 from subjects import TESTS
+from warm_start import warm_python
 
 from samira_warp.avatar import Avatar, read_frames
 from samira_warp.io.images import read_image, write_exr
@@ -15,7 +15,7 @@ def test_a_row_of_pictures(tiny_run, tmp_path):
     radiance = np.full((16, 32, 3), 5.0, np.float32)
     for name in ("even.exr", "bright.exr"):
         write_exr(tmp_path / name, radiance)
-    command = [sys.executable, str(TESTS.parent / "tools" / "overview.py"), "--avatar", str(tiny_run)]
+    command = [*warm_python(), str(TESTS.parent / "tools" / "overview.py"), "--avatar", str(tiny_run)]
     options = ["--env", str(tmp_path / "even.exr"), str(tmp_path / "bright.exr"), "--frame", "1"]
     out = tmp_path / "overview.png"
     done = subprocess.run(

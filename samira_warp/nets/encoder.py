@@ -9,7 +9,6 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import torch
-from huggingface_hub import constants, try_to_load_from_cache
 from torch import Tensor, nn
 
 from samira_warp.nets.random_features import RandomFeatures
@@ -90,6 +89,9 @@ def _pretrained_backbone(encoder: str, levels: int) -> Backbone:
     Raises:
         OSError: It is in none of them, or is no backbone.
     """
+    # not needed where features are random or the encoder is not asked
+    from huggingface_hub import try_to_load_from_cache
+
     folder = Path(encoder).is_dir()
     local = folder or not _hub_answers(encoder)
     if local and not folder and not isinstance(try_to_load_from_cache(encoder, "config.json"), str):
@@ -108,6 +110,8 @@ def _pretrained_backbone(encoder: str, levels: int) -> Backbone:
 
 def _hub_answers(encoder: str) -> bool:
     """Whether the hub can be reached, asked once: transformers would retry for half a minute."""
+    from huggingface_hub import constants
+
     if constants.HF_HUB_OFFLINE:
         return False
     request = urllib.request.Request(

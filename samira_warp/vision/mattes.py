@@ -21,6 +21,7 @@ from scipy import ndimage, sparse
 from scipy.sparse import linalg
 
 from samira_warp.support.errors import UserError
+from samira_warp.support.threads import kept_threads
 from samira_warp.vision.crops import Square
 from samira_warp.vision.runtime import Network
 from samira_warp.vision.weights import SELFIE_SEGMENTATION, read_network
@@ -186,6 +187,7 @@ def _closed_form(
     return np.clip(values, 0.0, 1.0).astype(np.float32)
 
 
+@kept_threads()
 def _matting_laplacian(colours: np.ndarray, known: np.ndarray) -> sparse.csr_matrix:
     try:
         from pymatting.laplacian.cf_laplacian import cf_laplacian

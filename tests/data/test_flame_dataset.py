@@ -64,5 +64,6 @@ def test_trackers_of_fewer_shapes_and_eyelids(tmp_path, flame):
 
 def test_one_command_trains(tmp_path, flame):
     write_layout("VHAP export", film_of("VHAP export", width=32, height=32), tmp_path / "subject")
-    assert train_command(*train_arguments(tmp_path / "subject", tmp_path / "run", "--flame", flame)) == 0
+    options = train_arguments(tmp_path / "subject", tmp_path / "run", "--flame", flame, "--max-steps", 2)
+    assert train_command(*options) == 0
     assert (tmp_path / "run" / "avatar").is_dir()

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 from subjects import TESTS, train_arguments
+from warm_start import warm_python
 
 import samira_subject
 import samira_warp
@@ -19,9 +20,9 @@ PACKAGE = Path(samira_warp.__file__).parent
 SIBLING = Path(samira_subject.__file__).parent
 
 
-def run_python(code, *, path=()):
+def run_python(code, *, path=(), python=(sys.executable,)):
     done = subprocess.run(
-        [sys.executable, "-c", f"import sys\nsys.path[:0] = {[*map(str, path)]}\n{textwrap.dedent(code)}"],
+        [*python, "-c", f"import sys\nsys.path[:0] = {[*map(str, path)]}\n{textwrap.dedent(code)}"],
         capture_output=True,
         text=True,
         timeout=300,
@@ -66,34 +67,31 @@ def test_another_package_adds_its_own_by_an_entry_point(tmp_path):
         assert made_subject().folder().name.startswith("subject-"), "whose name is taken is not replaced"
         """,
         path=[tmp_path],
+        python=warm_python(),
     )
     assert said.splitlines() == ["one of ada, built_in, zoe", "ada made"]
 
 
-def test_no_module_of_the_package_loads_the_built_in_one():
-    run_python(
-        """
-        import importlib, pkgutil, samira_warp
-        for module in pkgutil.walk_packages(samira_warp.__path__, "samira_warp."):
-            if not module.name.endswith("__main__"):
-                importlib.import_module(module.name)
-        assert "samira_warp.train.run" in sys.modules
-        assert not [name for name in sys.modules if name.partition(".")[0] == "samira_subject"]
-        """
-    )
+def test_the_package_names_the_built_in_one_once():
     users = [path for path in PACKAGE.rglob("*.py") if "samira_subject" in path.read_text("utf-8")]
     assert users == [PACKAGE / "data" / "subjects.py"]
 
 
-def test_training_on_data_loads_no_other_subject(tiny_dataset, tmp_path):
-    """Nor what the built-in one is triangulated by: whoever asked for that would not find it."""
+def test_neither_training_on_data_nor_any_module_loads_the_built_in_one(tiny_dataset, tmp_path):
+    """Nor what it is triangulated by: whoever asked for that would not find it."""
     arguments = train_arguments(tiny_dataset, tmp_path / "run", "--max-steps", "2")
     run_python(
         f"""
+        import importlib, pkgutil
+        import samira_warp
         import scipy.spatial
         del scipy.spatial.Delaunay
         from subjects import train_command
         assert train_command(*{arguments}) == 0
+        assert not [name for name in sys.modules if name.partition(".")[0] == "samira_subject"]
+        for module in pkgutil.walk_packages(samira_warp.__path__, "samira_warp."):
+            if not module.name.endswith("__main__"):
+                importlib.import_module(module.name)
         assert not [name for name in sys.modules if name.partition(".")[0] == "samira_subject"]
         """,
         path=[TESTS],

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from data.damage import change_json, cut
 from subjects import write_lpips_weights
+from warm_start import warm_python
 
 from samira_warp.evaluate.__main__ import EvaluateConfig, main
 from samira_warp.io.images import read_image, write_png
@@ -235,20 +236,20 @@ def test_options_that_do_not_exist(dataset, predictions, capsys, option):
     assert capsys.readouterr().out == ""
 
 
-def process(*arguments):
-    command = [sys.executable, "-m", "samira_warp.evaluate", *map(str, arguments)]
+def process(*arguments, python):
+    command = [*python, "-m", "samira_warp.evaluate", *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
 
 
 def test_the_process_prints_json(dataset, predictions):
-    done = process("--pred", predictions, "--data", dataset)
+    done = process("--pred", predictions, "--data", dataset, python=[sys.executable])
     assert (done.returncode, done.stderr) == (0, "")
     assert json.loads(done.stdout)["psnr"] > 0
 
 
 def test_the_process_says_one_line(dataset, predictions):
     cut(predictions / f"{NAMES[5]}.png")
-    done = process("--pred", predictions, "--data", dataset)
+    done = process("--pred", predictions, "--data", dataset, python=warm_python())
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith(f"error: {predictions / NAMES[5]}.png: expected a whole PNG image, found ")
     assert done.stderr.count("\n") == 1

@@ -10,6 +10,7 @@ import pytest
 import torch
 from plyfile import PlyData
 from subjects import TESTS
+from warm_start import warm_python
 
 from samira_warp.avatar import Avatar, read_frames
 from samira_warp.export.__main__ import command
@@ -68,8 +69,8 @@ def test_a_frame_is_written_and_said(tiny_run, tmp_path):
 def test_the_tool_writes_the_same_file(tiny_run, tmp_path):
     """To the byte, each in a process of its own: where films were tracked, sums were seen to differ."""
     options = ["--avatar", str(tiny_run), "--out"]
-    tool = [sys.executable, str(TESTS.parent / "tools" / "export_ply.py"), *options]
-    verb = [sys.executable, "-m", "samira_warp.export", *options]
+    tool = [*warm_python(), str(TESTS.parent / "tools" / "export_ply.py"), *options]
+    verb = [*warm_python(), "-m", "samira_warp.export", *options]
     for program, name in ((tool, "tool.ply"), (verb, "verb.ply")):
         subprocess.run([*program, str(tmp_path / name)], check=True, timeout=240, capture_output=True)
     assert (tmp_path / "tool.ply").read_bytes() == (tmp_path / "verb.ply").read_bytes()

@@ -4,11 +4,11 @@ import dataclasses
 import functools
 import hashlib
 import subprocess
-import sys
 
 import numpy as np
 import pytest
 from scipy.spatial import ConvexHull
+from warm_start import warm_python
 
 from samira_subject.anatomy.assembly import mean_anatomy
 from samira_subject.head import build_template
@@ -170,7 +170,7 @@ def test_the_same_bits_in_another_process():
         "from samira_warp.head.smooth_basis import smooth_basis; basis = smooth_basis(build_template(), 60); "
         "print(hashlib.sha256(basis.vectors.tobytes() + basis.eigenvalues.tobytes()).hexdigest())"
     )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    done = subprocess.run([*warm_python(), "-c", program], capture_output=True, text=True, check=True)
     basis = on_the_head()
     own = hashlib.sha256(basis.vectors.tobytes() + basis.eigenvalues.tobytes()).hexdigest()
     assert done.stdout.strip() == own

@@ -3,10 +3,10 @@
 import os
 import re
 import subprocess
-import sys
 import textwrap
 
 import pytest
+from warm_start import warm_python
 
 RAYS = """
     import torch
@@ -28,7 +28,7 @@ MORE = """
 def run(code, cache, *, before=""):
     """A process with a kernel cache of its own: what it writes to standard output and error."""
     done = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(before) + textwrap.dedent(code)],
+        [*warm_python(), "-c", textwrap.dedent(before) + textwrap.dedent(code)],
         capture_output=True,
         text=True,
         timeout=600,

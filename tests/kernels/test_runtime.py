@@ -1,13 +1,13 @@
 import gc
 import os
 import subprocess
-import sys
 import textwrap
 import weakref
 
 import pytest
 import torch
 import warp as wp
+from warm_start import warm_python
 
 from samira_warp.kernels.runtime import launch, launch_range
 
@@ -146,5 +146,5 @@ def test_a_forked_process_goes_on():
 
 def run_python(code):
     return subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(code)], capture_output=True, text=True, timeout=120
+        [*warm_python(), "-c", textwrap.dedent(code)], capture_output=True, text=True, timeout=120
     )

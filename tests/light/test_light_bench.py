@@ -21,6 +21,7 @@ def test_the_json_is_one_object_with_its_errors_in_bounds(folder, monkeypatch, c
     monkeypatch.setattr(light, "ENVIRONMENT_SIZE", 32)
     monkeypatch.setattr(light, "SHADED_PIXELS", 256)
     monkeypatch.setattr(light_table, "SAMPLES", 1600)
+    monkeypatch.setattr(light_table, "SPHERE_ROUGHNESS", (0.1, 0.5))
     light.main("cpu", True, folder)
     row = json.loads(capsys.readouterr().out)
     assert row["hardware"]
@@ -42,6 +43,7 @@ def test_the_json_is_one_object_with_its_errors_in_bounds(folder, monkeypatch, c
 
 def test_the_table_has_a_line_per_map(folder, monkeypatch, capsys):
     monkeypatch.setattr(light_table, "SAMPLES", 50)
+    monkeypatch.setattr(light_table, "SPHERE_ROUGHNESS", (0.5,))
     light_table.print_light_table(light_table.light_table(folder, torch.device("cpu")))
     lines = capsys.readouterr().out.strip().splitlines()
     assert len(lines) == 3

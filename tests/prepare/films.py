@@ -30,6 +30,9 @@ PARAMETERS = ("translation", "rotations", "expression")
 """Names of a frame's."""
 
 FEW_RAYS = Effort(samples=2, lights=1, lobes=1, more=2, rounds=1)
+FEW_STEPS = ((96, 8), (192, 8))
+"""`render_fit.LEVELS` where it does not matter how well the subject is found."""
+
 LEFT, TOP, WIDTH, HEIGHT = 150, 34, 600, 290
 """Where the subject's pictures stand in a video, at its foot, and the video's size: the focal
 length, 2.8 times the pictures' width, is then 1.2 of the video's, as is usual."""

@@ -1,10 +1,11 @@
 """A real video of the built-in subject, and small stand-ins for the programs that prepare calls."""
 
-import sys
+import shlex
 from fractions import Fraction
 
 import av
 import numpy as np
+from warm_start import warm_python
 
 from samira_warp.io.images import read_image
 
@@ -129,7 +130,7 @@ def filmed(image):
 
 
 def make_vhap(folder, dataset):
-    """A folder laid out as VHAP's, which runs with this Python and knows a dataset; files named broken, slow
+    """A folder laid out as VHAP's, which has a Python and knows a dataset; files named broken, slow
     or empty make it fail."""
     for name, text in {
         "track.py": TRACK,
@@ -137,13 +138,16 @@ def make_vhap(folder, dataset):
     }.items():
         (folder / "vhap").mkdir(parents=True, exist_ok=True)
         (folder / "vhap" / name).write_text(text)
+    python = folder / "python"
+    python.write_text(f'#!/bin/sh\nexec {shlex.join(warm_python())} "$@"\n')
+    python.chmod(0o755)
     (folder / "asset" / "flame").mkdir(parents=True)
     (folder / "asset" / "flame" / "flame2023.pkl").touch()
     return folder
 
 
 def vhap_options(folder):
-    return ("--vhap", folder, "--vhap-python", sys.executable)
+    return ("--vhap", folder, "--vhap-python", folder / "python")
 
 
 def make_hub(folder):

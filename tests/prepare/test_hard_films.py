@@ -1,13 +1,14 @@
 """Films that have no face, more than one, cuts, gaps, or nothing that moves."""
 
 import json
+import time
 
 import films
 import numpy as np
 import pytest
 from PIL import Image
 from test_own_tracker import POINTS, tracked_pixels
-from test_prepare import command, prepare, refusal
+from test_prepare import command, prepare, refusal, tree
 
 from samira_warp.prepare import run as module
 from samira_warp.prepare.faces import LONGEST_GAP
@@ -146,7 +147,7 @@ def test_a_long_gap_is_left_out_by_name(taken, tmp_path, capsys, not_tracked):
 def few_steps():
     """The subject rendered for fewer steps than it is: how well it is found is tests/tracker's matter."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(render_fit, "LEVELS", ((96, 8), (192, 8)))
+        patch.setattr(render_fit, "LEVELS", films.FEW_STEPS)
         yield
 
 
@@ -179,6 +180,26 @@ def test_a_short_gap_is_interpolated(covered, taken):
     others = [number for number in range(12) if number not in gap]
     assert np.median(apart[others]) < films.BIAS
     assert np.median(apart[list(gap)], axis=1).max() < 6.0
+
+
+def test_a_killed_run_goes_on_to_the_same_bytes(covered, tmp_path):
+    """Killed in the middle of the mattes, when the faces are known; another process goes on."""
+    whole, _ = covered
+    film, out = whole.parent / "covered.mp4", tmp_path / "out"
+    begun = command(film, "--out", out)
+    deadline = time.monotonic() + 300
+    while len(list((out / "film" / "alpha_maps").glob("*.jpg"))) < 3:
+        assert time.monotonic() < deadline
+        assert begun.poll() is None, begun.communicate()[1]
+        time.sleep(0.02)
+    begun.kill()
+    begun.communicate()
+    faces = (out / "film" / "faces.npz").stat().st_mtime_ns
+    assert not (out / "tracking").exists()
+    assert prepare(film, "--out", out) == 0
+    assert (out / "film" / "faces.npz").stat().st_mtime_ns == faces
+    for folder in ("film", "tracking", "dataset"):
+        assert tree(out / folder) == tree(whole / folder)
 
 
 def test_a_film_in_which_nothing_moves_is_tracked(taken, few_steps, tmp_path, capsys):

@@ -6,7 +6,6 @@ import os
 import shutil
 import signal
 import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -16,6 +15,7 @@ import torch
 from data.damage import file_size_limit
 from stand_ins import HEIGHT, LEFT, SIDE, TOP, WIDTH, make_hub, vhap_options
 from subjects import train_arguments, train_command
+from warm_start import warm_python
 
 from samira_warp.check.report import check_dataset
 from samira_warp.data import load_pixels, open_listing, open_sequence
@@ -67,9 +67,9 @@ def prepare(*arguments):
     )
 
 
-def command(*arguments, environment=None):
+def command(*arguments, environment=None, python=None):
     """The verb in a process of its own, begun."""
-    words = [sys.executable, "-m", "samira_warp.prepare", *map(str, arguments), "--device", "cpu"]
+    words = [*(python or warm_python()), "-m", "samira_warp.prepare", *map(str, arguments), "--device", "cpu"]
     return subprocess.Popen(
         words,
         env={**os.environ, **(environment or {})},

@@ -2,7 +2,6 @@
 
 import shutil
 import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +12,7 @@ from data.damage import change_arrays
 from data.rigs import OTHERS, with_seven_joints
 from data.tiny import N_EXPRESSION, tiny_template
 from subjects import pose_of, posed, render_command
+from warm_start import warm_python
 
 from samira_warp.avatar import Avatar, read_frames
 from samira_warp.data import open_sequence
@@ -49,7 +49,7 @@ def driven_by(data, avatar_folder, **options):
 
 def command(*arguments):
     """The render verb in a process of its own."""
-    words = [sys.executable, "-m", "samira_warp.render", *map(str, arguments), "--device", "cpu"]
+    words = [*warm_python(), "-m", "samira_warp.render", *map(str, arguments), "--device", "cpu"]
     return subprocess.run(words, capture_output=True, text=True, timeout=300, check=False)
 
 

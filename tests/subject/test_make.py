@@ -17,6 +17,7 @@ import torch
 from filelock import FileLock
 from stand_in import NAMES, PLAN, contents, stand_in
 from subjects import TESTS
+from warm_start import warm_python
 
 from samira_subject import make, plan
 from samira_subject.lights import panorama_of, resampled
@@ -45,7 +46,7 @@ def dataset(stand_in_dataset):
 def command(folder, *options, threads=1):
     environment = {**os.environ, "OMP_NUM_THREADS": str(threads)}
     return subprocess.Popen(
-        [sys.executable, str(SCRIPT), "--out", str(folder), *options],
+        [*warm_python(), str(SCRIPT), "--out", str(folder), *options],
         env=environment,
         stderr=subprocess.PIPE,
         text=True,

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 from filelock import FileLock
 from subjects import train_command
+from warm_start import warm_python
 
 from samira_subject import cache
 from samira_subject.plan import VERSION
@@ -69,7 +70,7 @@ def holder():
 
     def start(folder):
         folder.parent.mkdir(parents=True)
-        command = [sys.executable, "-c", HOLDER, str(folder), facts()]
+        command = [*warm_python(), "-c", HOLDER, str(folder), facts()]
         process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
         started.append(process)
         assert process.stdout.readline() == "held\n"
@@ -186,7 +187,7 @@ def test_what_another_process_makes_is_waited_for(made, holder, monkeypatch):
 def test_ctrl_c_ends_the_wait(holder, tmp_path):
     folder = cache.subject_folder()
     holder(folder)
-    command = [sys.executable, "-m", "samira_warp.train", "--device", "cpu"]
+    command = [*warm_python(), "-m", "samira_warp.train", "--device", "cpu"]
     waiting = subprocess.Popen(command, cwd=tmp_path, stderr=subprocess.PIPE, text=True)
     said = []
     for line in waiting.stderr:

@@ -1,8 +1,8 @@
 import subprocess
-import sys
 
 import torch
 from subjects import TESTS
+from warm_start import warm_python
 
 from samira_warp.support.caching import cached_tensors
 
@@ -42,7 +42,7 @@ def test_tensors_are_built_once_and_outside_inference_mode():
 def test_rendering_in_inference_mode_leaves_nothing_that_training_cannot_use():
     """In a process of its own, where nobody has built the tables before."""
     done = subprocess.run(
-        [sys.executable, "-c", RENDER_THEN_TRAIN],
+        [*warm_python(), "-c", RENDER_THEN_TRAIN],
         cwd=TESTS,
         capture_output=True,
         text=True,

@@ -3,7 +3,6 @@
 import json
 import math
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +11,7 @@ import torch
 from plyfile import PlyData
 from safetensors.torch import load_file
 from subjects import TESTS, render_command, train_arguments, train_command, write_lpips_weights
+from warm_start import warm_python
 
 from samira_warp import Avatar
 from samira_warp.bench.__main__ import BenchConfig
@@ -89,7 +89,7 @@ def test_rendering_agrees_with_the_cpu(trained, tmp_path):
 def test_exporting(trained, tmp_path):
     path = tmp_path / "avatar.ply"
     command = [
-        sys.executable,
+        *warm_python(),
         str(TESTS.parent / "tools" / "export_ply.py"),
         "--avatar",
         str(trained),

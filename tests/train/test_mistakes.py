@@ -5,7 +5,6 @@ import json
 import os
 import shutil
 import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -13,6 +12,7 @@ import torch
 from data.damage import change_arrays, change_json, cut, widen, with_value
 from filelock import FileLock
 from subjects import STEPS, train_arguments, train_command
+from warm_start import warm_python
 
 from samira_warp import Avatar
 from samira_warp.train.folder import claimed
@@ -178,7 +178,7 @@ def test_a_run_folder_that_is_a_file(tiny_dataset, tmp_path, capsys):
 
 def test_the_process_itself_says_one_line(tmp_path):
     command = [
-        sys.executable,
+        *warm_python(),
         "-m",
         "samira_warp.train",
         "--data",

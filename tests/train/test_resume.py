@@ -5,7 +5,6 @@ import json
 import shutil
 import signal
 import subprocess
-import sys
 
 import pytest
 import torch
@@ -13,6 +12,7 @@ from data.damage import change_arrays, change_json, file_size_limit
 from data.tiny import make_tiny_dataset
 from safetensors.torch import load_file, save_file
 from subjects import SMALL, TESTS, train_arguments, train_command, write_lpips_weights
+from warm_start import warm_python
 
 from samira_warp import Avatar
 from samira_warp.train import trainer
@@ -74,7 +74,7 @@ def end_by(name, arguments, *, in_step=True, at=4, times=1):
     while it writes its second checkpoint."""
     script = ENDED.format(tests=str(TESTS), signal=name, in_step=in_step, at=at, times=times)
     return subprocess.run(
-        [sys.executable, "-c", script, *arguments], capture_output=True, text=True, timeout=300, check=False
+        [*warm_python(), "-c", script, *arguments], capture_output=True, text=True, timeout=300, check=False
     )
 
 
@@ -125,7 +125,7 @@ def test_ctrl_c_is_answered_at_once(tiny_dataset, tmp_path):
     script = AT_ONCE.format(tests=str(TESTS))
     arguments = train_arguments(tiny_dataset, tmp_path / "run")
     ended = subprocess.run(
-        [sys.executable, "-c", script, *arguments], capture_output=True, text=True, timeout=300, check=False
+        [*warm_python(), "-c", script, *arguments], capture_output=True, text=True, timeout=300, check=False
     )
     assert ended.returncode == 130
     said = [

