@@ -36,6 +36,7 @@ class Gaussians(nn.Module):
         initial_normals: (N, 3) unit mesh-frame normals n^m, constant.
         faces: (N,) int32 face of each Gaussian, constant between density control events.
         uv: (N, 2) u_i of Alg. 1 (u right, v up), constant between refreshes.
+        guessed: (N,) bool: no picture saw it, and its geometry and opacity are a guess (`train.unseen`).
     """
 
     means: nn.Parameter
@@ -49,6 +50,7 @@ class Gaussians(nn.Module):
     initial_normals: Tensor
     faces: Tensor
     uv: Tensor
+    guessed: Tensor
 
     PARAMETERS = (
         "means",
@@ -60,7 +62,7 @@ class Gaussians(nn.Module):
         "specular_logits",
         "normals",
     )
-    CONSTANTS = ("initial_normals", "faces", "uv")
+    CONSTANTS = ("initial_normals", "faces", "uv", "guessed")
     NAMES = (*PARAMETERS, *CONSTANTS)
 
     def __init__(self, values: dict[str, Tensor]) -> None:
@@ -149,6 +151,7 @@ class Gaussians(nn.Module):
                 "initial_normals": normals,
                 "faces": faces,
                 "uv": uv,
+                "guessed": torch.zeros(count, dtype=torch.bool, device=means.device),
             }
         )
 

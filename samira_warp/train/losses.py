@@ -9,8 +9,9 @@ from typing import NamedTuple
 import kornia
 import torch
 
-from samira_warp.avatar import Avatar, Motion, Rendering
+from samira_warp.avatar import Avatar, Gaussians, Motion, Rendering
 from samira_warp.avatar.residual import POSITION_LIMIT
+from samira_warp.kernels.mesh.triangle_frames import triangle_frames
 from samira_warp.light import decode_srgb
 from samira_warp.train.config import Ablation
 from samira_warp.train.materials import MaterialPrior, material_prior, material_terms
@@ -22,6 +23,9 @@ SSIM_WINDOW = 11
 
 SURFACE_ALPHA = 0.5
 """Neighbouring pixels both covered more than this make a pair of the smoothness term."""
+
+HEIGHT_UNIT = 0.005
+"""Metres: what a fitted mesh is off by where there is no hair."""
 
 ALBEDO_MASK = 0.95
 """Pseudo-albedo is compared where the matte is above this: at soft edges it is mixed with the background."""
@@ -53,6 +57,9 @@ class LossWeights:
     normal_contrast: float = 0.3
     """Square of what a normal's turn from the mesh's own differs by from its neighbours' on the surface: what
     the mesh creases stays creased, and what is between two pixels, or seen by none, does not swirl."""
+    height: float = 0.01
+    """Mean square of the Gaussians' heights above their triangles, in HEIGHT_UNIT: along a line of sight, one
+    place is as good as any other. A penalty and no limit: hair stands off."""
     materials: float = 0.02
     """Square of what roughness and reflectance differ by from what was measured (`train.materials`)."""
     materials_contrast: float = 0.1
@@ -97,11 +104,13 @@ class Known(NamedTuple):
     Attributes:
         materials: Roughness and reflectance.
         neighbours: Which Gaussians are each other's neighbours on its surface.
+        face_scales: (F,) k of every triangle at rest, metres.
         skin: (F,) bool, faces of skin whose albedo is held to what was measured, or None where it is not.
     """
 
     materials: MaterialPrior
     neighbours: Neighbourhood
+    face_scales: torch.Tensor
     skin: torch.Tensor | None
 
     @classmethod
@@ -109,7 +118,8 @@ class Known(NamedTuple):
         """What is known of an avatar's head, on its device."""
         device, canonical = avatar.gaussians.means.device, avatar.canonical
         materials = MaterialPrior(*(values.to(device) for values in material_prior(canonical.template)))
-        return cls(materials, neighbourhood(avatar.gaussians, canonical), skin)
+        face_scales = triangle_frames(canonical.vertices, canonical.topology).scale
+        return cls(materials, neighbourhood(avatar.gaussians, canonical), face_scales, skin)
 
 
 Perceptual = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
@@ -151,6 +161,7 @@ def total_loss(
         terms["albedo"] = weights.albedo * albedo_loss(rendering.gbuffer.albedo, target.albedo, target.mask)
     if known.skin is not None:
         terms["skin"] = weights.skin * skin_prior(mean_skin(avatar.gaussians, known.skin))
+    terms["height"] = weights.height * height_prior(avatar.gaussians, known.face_scales)
     off, contrast = material_terms(avatar.gaussians, known.materials, known.neighbours)
     terms["materials"] = weights.materials * off + weights.materials_contrast * contrast
     if stage_two:
@@ -202,6 +213,17 @@ def normal_prior(normals: torch.Tensor, initial: torch.Tensor) -> torch.Tensor:
         initial: (N, 3) unit, what they started as.
     """
     return (1.0 - (torch.nn.functional.normalize(normals, dim=-1) * initial).sum(-1)).mean()
+
+
+def height_prior(gaussians: Gaussians, face_scales: torch.Tensor) -> torch.Tensor:
+    """Mean square of how high Gaussians are above or below their triangles, in HEIGHT_UNIT.
+
+    Args:
+        gaussians: The avatar's.
+        face_scales: (F,) k of every triangle, metres.
+    """
+    heights = gaussians.means[:, 1] * face_scales[gaussians.faces.long()]
+    return (heights / HEIGHT_UNIT).square().mean()
 
 
 def normal_contrast(normals: torch.Tensor, initial: torch.Tensor, neighbours: Neighbourhood) -> torch.Tensor:

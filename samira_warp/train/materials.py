@@ -93,7 +93,7 @@ def material_terms(
 
 
 def hold_known(gaussians: Gaussians, held: Tensor) -> None:
-    """Clear the gradients of what is not learned, after a backward pass.
+    """Clear the gradients of what is known and not learned, after a backward pass.
 
     Args:
         gaussians: The avatar's.

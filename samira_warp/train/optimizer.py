@@ -57,6 +57,16 @@ def reset_moments(optimizer: torch.optim.Adam, group_name: str) -> None:
                         optimizer.state[parameter][moment].zero_()
 
 
+def forget_gaussians(optimizer: torch.optim.Adam, which: torch.Tensor) -> None:
+    """Forget the moments of some Gaussians (N,) bool, so that where they rest they rest."""
+    for group in optimizer.param_groups:
+        if group["name"] in Gaussians.PARAMETERS:
+            for moment in ("exp_avg", "exp_avg_sq"):
+                (parameter,) = group["params"]
+                if moment in optimizer.state[parameter]:
+                    optimizer.state[parameter][moment][which] = 0.0
+
+
 def replace_gaussians(
     optimizer: torch.optim.Adam, old: Gaussians, new: Gaussians, kept: torch.Tensor
 ) -> None:

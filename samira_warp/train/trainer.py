@@ -12,7 +12,6 @@ from samira_warp.data import Frame, PixelCache, TrackedSequence
 from samira_warp.evaluate.lpips import Lpips
 from samira_warp.geometry.camera import Camera
 from samira_warp.geometry.mesh import face_areas
-from samira_warp.kernels.mesh.triangle_frames import triangle_frames
 from samira_warp.train.begun import CHECKPOINTS_FOLDER
 from samira_warp.train.checkpoint import TrainingState, load_training, save_checkpoint
 from samira_warp.train.density import DensityStatistics, control_density, reset_opacity
@@ -24,11 +23,17 @@ from samira_warp.train.losses import Known, Target, linear_albedo, loss_weights,
 from samira_warp.train.materials import hold_known
 from samira_warp.train.neighbours import neighbourhood
 from samira_warp.train.occlusions import FrameOcclusions
-from samira_warp.train.optimizer import make_optimizer, replace_gaussians, reset_moments, set_rates
+from samira_warp.train.optimizer import (
+    forget_gaussians,
+    make_optimizer,
+    replace_gaussians,
+    reset_moments,
+    set_rates,
+)
 from samira_warp.train.plan import TrainPlan
 from samira_warp.train.skin import skin_faces
 from samira_warp.train.tracking import TrackedParameters
-from samira_warp.train.unseen import guess_unseen, look
+from samira_warp.train.unseen import guess_unseen, hold_guesses, look
 
 PREFETCH = 8
 """Frames decoded ahead of the step that needs them."""
@@ -58,8 +63,6 @@ class Trainer:
         self.device = torch.device(plan.settings.device)
         self.tracked = TrackedParameters(sequence.batch(sequence.train)).to(self.device)
         self.occlusions = FrameOcclusions(avatar.canonical, avatar.occluder, self.tracked)
-        canonical = avatar.canonical
-        self.face_scales = triangle_frames(canonical.vertices, canonical.topology).scale
         self.known = Known.of(avatar, skin=_held_skin(plan, sequence, self.device))
         self.optimizer = make_optimizer(avatar, self.tracked)
         self.density = DensityStatistics(len(avatar.gaussians), self.device)
@@ -107,7 +110,9 @@ class Trainer:
             (self.tracked.frame(row, frame.parameters.to(self.device)), self.camera(frame))
             for row, frame in frames
         )
-        return guess_unseen(self.avatar, look(self.avatar, views))
+        guesses = guess_unseen(self.avatar, look(self.avatar, views))
+        forget_gaussians(self.optimizer, self.avatar.gaussians.guessed)
+        return guesses
 
     def train_step(self) -> tuple[Rendering, Target, dict[str, torch.Tensor]]:
         """One frame forward, backward and updated.
@@ -145,8 +150,9 @@ class Trainer:
         torch.stack(list(terms.values())).sum().backward()
         self._gather_density(rendering)
         hold_known(self.avatar.gaussians, self.known.materials.held)
+        hold_guesses(self.avatar.gaussians)
         self.optimizer.step(rows=[row])
-        hold_shapes(self.avatar.gaussians, self.face_scales)
+        hold_shapes(self.avatar.gaussians, self.known.face_scales)
         self._control_density()
         self.step += 1
         error = (rendering.image.detach() - target.image).square().mean()
@@ -229,7 +235,7 @@ class Trainer:
             change = control_density(
                 avatar.gaussians,
                 self.density,
-                face_scales=self.face_scales,
+                face_scales=self.known.face_scales,
                 face_areas=areas,
                 cap=self.settings.gaussian_cap,
                 generator=generator,

@@ -3,8 +3,8 @@
 Gaussians that no picture shows get no gradient: they stay as they were first thrown, half transparent, in
 whatever colour an unwrapped picture had nearest; and what is seen at a grazing angle alone is pulled about
 from one side only. Late in training these become discs in their triangles' planes and take over what lies
-nearest on the surface and was seen, of this side or, mirrored, of the other; the steps that are left fit the
-outlines that they take part in.
+nearest on the surface and was seen, of this side or, mirrored, of the other. In the steps that are left they
+keep their geometry, and what was seen fits the outlines that they take part in.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
 
-from samira_warp.avatar import Avatar, Motion
+from samira_warp.avatar import Avatar, Gaussians, Motion
 from samira_warp.avatar.gbuffer import GBuffer
 from samira_warp.geometry.camera import Camera
 from samira_warp.geometry.mesh import face_areas
@@ -117,7 +117,7 @@ def guess_unseen(avatar: Avatar, seen: Seen) -> int:
         seen: What training saw of it.
 
     Returns:
-        How many Gaussians are guesses now.
+        How many Gaussians are guesses now: `Gaussians.guessed`.
     """
     gaussians, canonical = avatar.gaussians, avatar.canonical
     faces = gaussians.faces.long()
@@ -137,7 +137,19 @@ def guess_unseen(avatar: Avatar, seen: Seen) -> int:
     gaussians.opacity_logits[unseen] = torch.logit(opacities)
     empty = there & (seen.coverage[faces] < EMPTY)
     gaussians.opacity_logits[empty] = torch.logit(gaussians.opacity_logits.new_tensor(LEFT_OUT))
+    gaussians.guessed = unseen
     return int(unseen.sum())
+
+
+def hold_guesses(gaussians: Gaussians) -> None:
+    """Clear the gradients of guessed geometry and opacity, after a backward pass.
+
+    What is seen of it is its edge at most, which it would be pulled about for.
+    """
+    for name in ("means", "log_scales", "quaternions", "opacity_logits"):
+        gradient = getattr(gaussians, name).grad
+        if gradient is not None:
+            gradient[gaussians.guessed] = 0.0
 
 
 def _lay_on_surface(avatar: Avatar, which: Tensor, heights: Tensor) -> None:

@@ -140,6 +140,7 @@ def as_older(folder, version):
     if version == 1:
         del description["settings"]["tied_light"]
     (folder / "avatar.json").write_text(json.dumps({**description, "format": version}))
+    without(folder / "avatar.safetensors", "gaussians.guessed")
     if version >= 3:
         return folder
     path = folder / "frames.safetensors"

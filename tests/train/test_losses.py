@@ -34,6 +34,7 @@ WEIGHTS = LossWeights(
     albedo=0.1,
     mask=0.1,
     response=1e-3,
+    height=0.01,
     materials=0.02,
     materials_contrast=0.1,
 )
@@ -70,6 +71,7 @@ def scene(device, generator):
             roughness=draw(COUNT),
             specular=0.1 * draw(COUNT),
             faces=torch.arange(COUNT, device=device, dtype=torch.int32) // 2,
+            means=draw(COUNT, 3) - 0.5,
         ),
         response_logits=draw(10, 2) - 0.5,
         settings=SimpleNamespace(residual=True),
@@ -79,7 +81,7 @@ def scene(device, generator):
     )
     target = Target(draw(SIZE, SIZE, 3), draw(SIZE, SIZE), draw(SIZE, SIZE, 3), draw(3))
     materials = MaterialPrior(draw(5), 0.1 * draw(5), torch.zeros(5, dtype=torch.bool, device=device))
-    return rendering, target, avatar, Known(materials, neighbours_of(device, generator), None)
+    return rendering, target, avatar, Known(materials, neighbours_of(device, generator), 0.01 * draw(5), None)
 
 
 def numpy_of(tensor):
@@ -119,6 +121,7 @@ def test_every_term_has_its_closed_form(scene):
     rotation = numpy_of(known.neighbours.rotation)
     change = np.einsum("nij,nj->ni", rotation, canonical / np.linalg.norm(canonical, axis=-1)[:, None])
     change -= np.einsum("nij,nj->ni", rotation, initial)
+    heights = numpy_of(avatar.gaussians.means)[:, 1] * numpy_of(known.face_scales).repeat(2) / 0.005
     finish = [(avatar.gaussians.roughness, known.materials.roughness, ROUGHNESS_UNIT)]
     finish += [(avatar.gaussians.specular, known.materials.specular, SPECULAR_UNIT)]
     off = np.stack([(numpy_of(f) - numpy_of(k).repeat(2)) / unit for f, k, unit in finish], axis=1)
@@ -130,6 +133,7 @@ def test_every_term_has_its_closed_form(scene):
         "normal_smoothness": 0.15 * np.concatenate(pairs).mean(),
         "normal_prior": 0.1 * (1 - cosine).mean(),
         "normal_contrast": 0.3 * (contrast_of(change) ** 2).sum(-1).mean(),
+        "height": 0.01 * (heights**2).mean(),
         "materials": 0.02 * (off**2).mean() + 0.1 * (contrast_of(off) ** 2).mean(),
         "residual": 0.1 * (numpy_of(rendering.motion.residual_position / 0.02)[valid] ** 2).mean()
         + 0.1 * (numpy_of(rendering.motion.residual_rotation / np.pi)[valid] ** 2).mean(),
@@ -175,6 +179,7 @@ def test_a_perfect_image_costs_nothing(scene):
     rendering, target, avatar, known = scene
     rendering.image, rendering.gbuffer.alpha = target.image, target.mask[..., None]
     rendering.gbuffer.albedo = target.albedo
+    avatar.gaussians.means = torch.zeros_like(avatar.gaussians.means)
     avatar.gaussians.roughness = known.materials.roughness.repeat_interleave(2)
     avatar.gaussians.specular = known.materials.specular.repeat_interleave(2)
     rendering.motion.residual_position, rendering.motion.residual_rotation = (
@@ -182,7 +187,7 @@ def test_a_perfect_image_costs_nothing(scene):
         torch.zeros(4, 4, 3),
     )
     terms = total_loss(rendering, target, avatar, WEIGHTS, known, stage_two=False, perceptual=None)
-    assert set(terms) == {"l1", "ssim", "mask", "albedo", "residual", "materials"}
+    assert set(terms) == {"l1", "ssim", "mask", "albedo", "residual", "materials", "height"}
     assert float(sum(terms.values())) == pytest.approx(0.0, abs=1e-6)
 
 
@@ -242,6 +247,7 @@ def test_gradients_of_all_terms_reach_the_avatar(generator):
     with torch.no_grad():
         avatar.response_logits.normal_(generator=generator)
         avatar.gaussians.roughness_logits.add_(0.3)
+        avatar.gaussians.means.add_(0.1)
         avatar.gaussians.normals.add_(0.3 * torch.randn(avatar.gaussians.normals.shape, generator=generator))
     rendering = avatar.render(parameters(0), camera(32))
     target = Target(
@@ -260,6 +266,7 @@ def test_gradients_of_all_terms_reach_the_avatar(generator):
         "normal_smoothness": avatar.gaussians.normals,
         "normal_prior": avatar.gaussians.normals,
         "normal_contrast": avatar.gaussians.normals,
+        "height": avatar.gaussians.means,
         "materials": avatar.gaussians.roughness_logits,
         "response": avatar.response_logits,
     }

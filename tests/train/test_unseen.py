@@ -2,9 +2,12 @@ import pytest
 import torch
 from subjects import camera, parameters, small_avatar
 
+from samira_warp.head import FrameParameters
 from samira_warp.kernels.mesh.triangle_frames import triangle_frames
 from samira_warp.train.initialize import FLATNESS
-from samira_warp.train.unseen import BORROWED, LEFT_OUT, OPACITY, Seen, guess_unseen, look
+from samira_warp.train.optimizer import forget_gaussians, make_optimizer, set_rates
+from samira_warp.train.tracking import TrackedParameters
+from samira_warp.train.unseen import BORROWED, LEFT_OUT, OPACITY, Seen, guess_unseen, hold_guesses, look
 
 COUNT = 1500
 
@@ -63,6 +66,7 @@ def test_the_seen_stay_and_the_unseen_become_discs(avatar):
     assert not (changed & donors).any()
     for name, values in before.items():
         assert torch.equal(getattr(gaussians, name)[~changed], values[~changed]), name
+    assert torch.equal(gaussians.guessed, changed)
     torch.testing.assert_close(
         gaussians.opacities[changed], torch.full((guessed,), OPACITY, device=donors.device)
     )
@@ -111,3 +115,31 @@ def test_nothing_seen_or_all_seen_changes_nothing(avatar):
         everywhere = torch.full((faces,), is_seen, device=avatar.gaussians.means.device)
         assert guess_unseen(avatar, seen_where(avatar, everywhere)) == 0
     assert all(torch.equal(getattr(avatar.gaussians, name), values) for name, values in before.items())
+
+
+def test_guesses_keep_their_geometry_and_learn_their_colours(avatar):
+    """Three steps of Adam with moments from before the guess."""
+    gaussians = avatar.gaussians
+    front = middles(avatar)[:, 2] > 0.0
+    frames = FrameParameters.stack([parameters(0), parameters(1)])
+    optimizer = make_optimizer(avatar, TrackedParameters(frames))
+    set_rates(optimizer, step=1000, steps=3000)
+
+    def step():
+        sum(getattr(gaussians, name).square().sum() for name in gaussians.PARAMETERS).backward()
+        hold_guesses(gaussians)
+        optimizer.step()
+        optimizer.zero_grad()
+
+    step()
+    guess_unseen(avatar, seen_where(avatar, front))
+    forget_gaussians(optimizer, gaussians.guessed)
+    before = copied(avatar)
+    for _ in range(3):
+        step()
+    for name in ("means", "log_scales", "quaternions", "opacity_logits"):
+        moved = (getattr(gaussians, name) != before[name]).flatten(1 if before[name].dim() > 1 else 0)
+        moved = moved.any(dim=1) if moved.dim() > 1 else moved
+        assert not moved[gaussians.guessed].any(), name
+        assert moved[~gaussians.guessed].any(), name
+    assert (gaussians.albedo_logits != before["albedo_logits"]).any(dim=1).all()

@@ -4,7 +4,8 @@
 2   keeps the poses of FLAME's five joints in rotation, neck, jaw and eyes
 3   keeps the poses of any joints in rotations
 4   says whether the head blocks the light: before, it never did
-5   says by how much Gaussians are smoothed in space: before, a wider low-pass widened them in the picture
+5   says by how much Gaussians are smoothed in space, and which are guesses: before, a wider low-pass widened
+    them in the picture, and none was known to be a guess
 """
 
 from __future__ import annotations
@@ -19,6 +20,9 @@ FORMAT = 5
 
 UNSMOOTHED = 4
 """The last version without smoothing; a reader finds what stands for it (`storage.folder`)."""
+
+UNGUESSED = 4
+"""The last version that does not say which Gaussians are guesses."""
 
 READABLE = (1, 2, 3, 4, 5)
 """The versions that are read, oldest first."""
