@@ -24,6 +24,9 @@ SSIM_WINDOW = 11
 SURFACE_ALPHA = 0.5
 """Neighbouring pixels both covered more than this make a pair of the smoothness term."""
 
+LIGHT_LEAST = 1e-3
+"""Of radiance in a logarithm: black is a hundred times as dark as a dim wall, and no darker."""
+
 HEIGHT_UNIT = 0.005
 """Metres: what a fitted mesh is off by where there is no hair."""
 
@@ -57,13 +60,17 @@ class LossWeights:
     normal_contrast: float = 0.3
     """Square of what a normal's turn from the mesh's own differs by from its neighbours' on the surface: what
     the mesh creases stays creased, and what is between two pixels, or seen by none, does not swirl."""
-    height: float = 0.01
+    height: float = 0.1
     """Mean square of the Gaussians' heights above their triangles, in HEIGHT_UNIT: along a line of sight, one
     place is as good as any other. A penalty and no limit: hair stands off."""
-    materials: float = 0.02
+    materials: float = 0.01
     """Square of what roughness and reflectance differ by from what was measured (`train.materials`)."""
-    materials_contrast: float = 0.1
+    materials_contrast: float = 0.05
     """The same from their neighbours' on the surface."""
+    light: float = 2e-3
+    """Variance of the logarithm of the light's radiance over all directions: what shines from behind is seen
+    along the outline at best, and would be of any colour and brightness. A lamp costs next to nothing: it is
+    small."""
     skin: float = 0.1
     """Prior on skin's mean albedo where no pseudo-albedo says what it is (`train.skin`). Twice too bright
     costs a slope of 0.14 in its logarithm: more than the image's error weighs against it while the light
@@ -161,6 +168,7 @@ def total_loss(
         terms["albedo"] = weights.albedo * albedo_loss(rendering.gbuffer.albedo, target.albedo, target.mask)
     if known.skin is not None:
         terms["skin"] = weights.skin * skin_prior(mean_skin(avatar.gaussians, known.skin))
+    terms["light"] = weights.light * light_prior(*avatar.light.radiance())
     terms["height"] = weights.height * height_prior(avatar.gaussians, known.face_scales)
     off, contrast = material_terms(avatar.gaussians, known.materials, known.neighbours)
     terms["materials"] = weights.materials * off + weights.materials_contrast * contrast
@@ -224,6 +232,14 @@ def height_prior(gaussians: Gaussians, face_scales: torch.Tensor) -> torch.Tenso
     """
     heights = gaussians.means[:, 1] * face_scales[gaussians.faces.long()]
     return (heights / HEIGHT_UNIT).square().mean()
+
+
+def light_prior(*maps: torch.Tensor) -> torch.Tensor:
+    """Variance of the logarithm of a light's radiance, mean over its maps (6, R, R, 3).
+
+    All three colours are about one mean: what costs nothing is grey.
+    """
+    return torch.stack([radiance.clamp(min=LIGHT_LEAST).log().var(correction=0) for radiance in maps]).mean()
 
 
 def normal_contrast(normals: torch.Tensor, initial: torch.Tensor, neighbours: Neighbourhood) -> torch.Tensor:

@@ -8,7 +8,6 @@ as their neighbours do.
   of 0.3 that fits most of the faces measured by Weyrich et al. (Analysis of human faces using a
   measurement-based skin reflectance model, 2006), as d'Eon and Luebke have it (GPU Gems 3, chapter 14); the
   slope is GGX's alpha, the square of the roughness here.
-- Hair: index 1.55 (Marschner et al., Light scattering from human hair fibers, 2003), so 0.047.
 - Eyes: the cornea's index is 1.376 (Gullstrand's eye), so 0.025; its film of tears is smooth, as smooth as
   the light's maps can show.
 - Mouth: enamel (1.62) and mucosa under saliva (1.33): 0.03, wet.
@@ -37,7 +36,6 @@ class Finish(NamedTuple):
 
 
 SKIN = Finish(SKIN_ROUGHNESS, SKIN_SPECULAR)
-HAIR = Finish(0.5, 0.047)
 WET_MOUTH = Finish(0.25, 0.03)
 CORNEA = Finish(0.1, 0.025)
 
@@ -67,7 +65,6 @@ def material_prior(template: HeadTemplate) -> MaterialPrior:
     """What is known of a head's surface, by its template's masks; on the CPU."""
     regions = route_faces(template)
     finish = np.tile(np.array(SKIN), (len(template.faces), 1))
-    finish[regions == REGIONS.index("scalp")] = HAIR
     finish[regions == REGIONS.index("mouth")] = WET_MOUTH
     eyeball = np.zeros(len(template.v_template), dtype=bool)
     for name in EYEBALLS:

@@ -38,7 +38,7 @@ from samira_warp.train.unseen import guess_unseen, hold_guesses, look
 PREFETCH = 8
 """Frames decoded ahead of the step that needs them."""
 
-SETTLING_VIEWS = 48
+SETTLING_VIEWS = 96
 """Training frames, evenly spaced, that tell what was seen."""
 
 

@@ -29,9 +29,9 @@ from samira_warp.train.density import spacing
 from samira_warp.train.initialize import FLATNESS, SIZE_IN_SPACINGS
 from samira_warp.train.neighbours import neighbourhood, rest_places
 
-FACING = 0.2
+FACING = 0.1
 """A triangle was seen where some picture shows it by so many of the pixels that it would have face on: it was
-then turned away by less than 78 degrees, and not hidden but for a corner."""
+then turned away by less than 84 degrees, or seen by a corner."""
 
 MADE_UP = 1.0
 """Pixels of all pictures that a Gaussian has to make up to lend others what it has."""

@@ -83,7 +83,17 @@ def test_metrics_end_with_the_last_step(tiny_run):
     last = lines(tiny_run / "metrics.jsonl")[-1]
     assert last["step"] == STEPS
     assert last["gaussians"] > 0
-    terms = {"l1", "ssim", "mask", "residual", "albedo", "normal_smoothness", "normal_prior", "response"}
+    terms = {
+        "l1",
+        "ssim",
+        "mask",
+        "residual",
+        "albedo",
+        "normal_smoothness",
+        "normal_prior",
+        "normal_contrast",
+    }
+    terms |= {"response", "light", "height", "materials"}
     assert terms <= set(last)
     assert last["loss"] == pytest.approx(sum(last[name] for name in terms))
     assert all(math.isfinite(value) for value in last.values())

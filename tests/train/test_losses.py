@@ -34,6 +34,7 @@ WEIGHTS = LossWeights(
     albedo=0.1,
     mask=0.1,
     response=1e-3,
+    light=2e-3,
     height=0.01,
     materials=0.02,
     materials_contrast=0.1,
@@ -64,6 +65,7 @@ def scene(device, generator):
     )
     rendering = SimpleNamespace(image=draw(SIZE, SIZE, 3), gbuffer=gbuffer, motion=motion)
     initial = torch.nn.functional.normalize(draw(COUNT, 3), dim=1)
+    maps = 0.1 + draw(6, 4, 4, 3), 0.1 + draw(6, 8, 8, 3)
     avatar = SimpleNamespace(
         gaussians=SimpleNamespace(
             normals=2 * draw(COUNT, 3) + 0.1,
@@ -74,6 +76,7 @@ def scene(device, generator):
             means=draw(COUNT, 3) - 0.5,
         ),
         response_logits=draw(10, 2) - 0.5,
+        light=SimpleNamespace(radiance=lambda: maps),
         settings=SimpleNamespace(residual=True),
         canonical=SimpleNamespace(
             atlas=SimpleNamespace(valid=torch.arange(16).view(4, 4).to(device) % 3 > 0)
@@ -133,6 +136,7 @@ def test_every_term_has_its_closed_form(scene):
         "normal_smoothness": 0.15 * np.concatenate(pairs).mean(),
         "normal_prior": 0.1 * (1 - cosine).mean(),
         "normal_contrast": 0.3 * (contrast_of(change) ** 2).sum(-1).mean(),
+        "light": 2e-3 * np.mean([np.log(values).var() for values in map(numpy_of, avatar.light.radiance())]),
         "height": 0.01 * (heights**2).mean(),
         "materials": 0.02 * (off**2).mean() + 0.1 * (contrast_of(off) ** 2).mean(),
         "residual": 0.1 * (numpy_of(rendering.motion.residual_position / 0.02)[valid] ** 2).mean()
@@ -179,6 +183,7 @@ def test_a_perfect_image_costs_nothing(scene):
     rendering, target, avatar, known = scene
     rendering.image, rendering.gbuffer.alpha = target.image, target.mask[..., None]
     rendering.gbuffer.albedo = target.albedo
+    avatar.light.radiance = lambda: (torch.full((6, 4, 4, 3), 0.7),)
     avatar.gaussians.means = torch.zeros_like(avatar.gaussians.means)
     avatar.gaussians.roughness = known.materials.roughness.repeat_interleave(2)
     avatar.gaussians.specular = known.materials.specular.repeat_interleave(2)
@@ -187,7 +192,7 @@ def test_a_perfect_image_costs_nothing(scene):
         torch.zeros(4, 4, 3),
     )
     terms = total_loss(rendering, target, avatar, WEIGHTS, known, stage_two=False, perceptual=None)
-    assert set(terms) == {"l1", "ssim", "mask", "albedo", "residual", "materials", "height"}
+    assert set(terms) == {"l1", "ssim", "mask", "albedo", "residual", "materials", "height", "light"}
     assert float(sum(terms.values())) == pytest.approx(0.0, abs=1e-6)
 
 
@@ -267,6 +272,7 @@ def test_gradients_of_all_terms_reach_the_avatar(generator):
         "normal_prior": avatar.gaussians.normals,
         "normal_contrast": avatar.gaussians.normals,
         "height": avatar.gaussians.means,
+        "light": avatar.light.diffuse,
         "materials": avatar.gaussians.roughness_logits,
         "response": avatar.response_logits,
     }

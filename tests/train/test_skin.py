@@ -164,7 +164,7 @@ def test_skin_that_starts_too_bright_or_dark_comes_back(unlit, tmp_path, monkeyp
 
 
 def skin_luminance(trainer):
-    return float(luminance(mean_skin(trainer.avatar.gaussians, trainer.skin).detach()))
+    return float(luminance(mean_skin(trainer.avatar.gaussians, trainer.known.skin).detach()))
 
 
 def test_the_prior_is_on_where_no_albedo_is_compared_with(tiny_dataset, tmp_path, capfd):
