@@ -29,19 +29,19 @@ from samira_warp.train.density import spacing
 from samira_warp.train.initialize import FLATNESS, SIZE_IN_SPACINGS
 from samira_warp.train.neighbours import neighbourhood, rest_places
 
-FACING = 0.1
-"""A triangle was seen where some picture shows it by so many of the pixels that it would have face on: it was
-then turned away by less than 84 degrees, or seen by a corner."""
+FACING = 0.17
+"""Cosine, 80 degrees: a triangle is seen where some pixel shows it, turned away from the camera by less.
+Those along the outline share their pixels with what is behind."""
 
 MADE_UP = 1.0
 """Pixels of all pictures that a Gaussian has to make up to lend others what it has."""
 
 SOLID = 0.5
-"""Coverage above which a seen triangle is the head's, and below which what is next to it is left out: mattes
-end at the shoulders where meshes go on."""
+"""Coverage above which a seen triangle is the head's; what has mostly others next to it is left out as they
+are: mattes end at the shoulders where meshes go on."""
 
-OPACITY = 0.7
-"""Of what is guessed: three and a half discs overlap in a place, and less than two per cent shine through."""
+OPACITY = 0.9
+"""Of what is guessed: discs overlap, and next to nothing of the inside shines through."""
 
 EMPTY = 0.1
 """Coverage below which a seen triangle is none of the head's, whatever a faint Gaussian on it adds."""
@@ -64,12 +64,12 @@ class Seen(NamedTuple):
 
     Attributes:
         pixels: (N,) how many pixels each Gaussian makes up, in all.
-        facing: (F,) the most of its pixels, face on, that a triangle has in a picture.
-        coverage: (F,) mean alpha where a triangle is seen; 0 where it is not.
+        faces: (F,) bool, whether some pixel shows a triangle that faces the camera by FACING.
+        coverage: (F,) mean alpha of those pixels; 0 where there is none.
     """
 
     pixels: Tensor
-    facing: Tensor
+    faces: Tensor
     coverage: Tensor
 
 
@@ -77,28 +77,30 @@ def look(avatar: Avatar, views: Iterable[tuple[FrameParameters, Camera]]) -> See
     """See what some views see of an avatar."""
     device, count = avatar.gaussians.means.device, len(avatar.canonical.topology.faces)
     pixels = torch.zeros(len(avatar.gaussians), device=device)
-    facing, shown, covered = (torch.zeros(count, device=device) for _ in range(3))
+    shown, covered = torch.zeros(count, device=device), torch.zeros(count, device=device)
     for parameters, camera in views:
         with torch.no_grad():
             motion = avatar.move(parameters)
             gbuffer = avatar.rasterize(motion, camera)
-            ids = _faces_seen(avatar, motion, camera)
+            ids = _facing(avatar, motion, camera)
             inside = ids >= 0
-            ones = torch.bincount(ids[inside], minlength=count).to(facing)
-            areas = face_areas(motion.head.vertices, avatar.canonical.topology.faces)
-            squares = areas / avatar.canonical.sampling_interval(parameters, camera) ** 2
-            facing = torch.maximum(facing, ones / squares.clamp(min=1.0))
-            shown += ones
+            shown += torch.bincount(ids[inside], minlength=count)
             covered += torch.bincount(ids[inside], gbuffer.alpha[..., 0][inside], minlength=count)
         pixels += _shares(gbuffer, len(pixels))
-    return Seen(pixels, facing, covered / shown.clamp(min=1.0))
+    return Seen(pixels, shown > 0, covered / shown.clamp(min=1.0))
 
 
-def _faces_seen(avatar: Avatar, motion: Motion, camera: Camera) -> Tensor:
-    """(H, W) id of the triangle that each pixel of a view shows, -1 where none."""
-    points = camera.image_points(motion.head.vertices)[None]
-    topology = avatar.canonical.topology
-    return rasterize_mesh(points, topology, width=camera.width, height=camera.height).face[0].long()
+def _facing(avatar: Avatar, motion: Motion, camera: Camera) -> Tensor:
+    """(H, W) id of the triangle that each pixel of a view shows; -1 where none does, or faces away."""
+    topology, vertices = avatar.canonical.topology, motion.head.vertices
+    points = camera.image_points(vertices)[None]
+    ids = rasterize_mesh(points, topology, width=camera.width, height=camera.height).face[0].long()
+    corners = vertices[topology.faces.long()]
+    normals = torch.linalg.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    towards = camera.center - corners.mean(dim=1)
+    cosines = torch.nn.functional.cosine_similarity(normals, towards, dim=1)
+    # an id of -1 looks at the last triangle, and stays what it is
+    return torch.where(cosines[ids] > FACING, ids, -1)
 
 
 def _shares(gbuffer: GBuffer, count: int) -> Tensor:
@@ -121,7 +123,7 @@ def guess_unseen(avatar: Avatar, seen: Seen) -> int:
     """
     gaussians, canonical = avatar.gaussians, avatar.canonical
     faces = gaussians.faces.long()
-    there = (seen.facing >= FACING)[faces]
+    there = seen.faces[faces]
     neighbours = neighbourhood(gaussians, canonical).table.indices.long()
     # small triangles slip between pixels: where most neighbours were seen, so was this
     unseen = ~there & (there[neighbours].float().mean(dim=1) <= 0.5)
@@ -131,8 +133,9 @@ def guess_unseen(avatar: Avatar, seen: Seen) -> int:
         return 0
     places = rest_places(gaussians, canonical)[1][:, :6]
     _lay_on_surface(avatar, unseen, _borrow(avatar, places, unseen, donors))
-    nearest = cKDTree(places[there.cpu().numpy()]).query(places[unseen.cpu().numpy()])[1]
-    is_head = solid[there][torch.from_numpy(nearest).to(solid.device)]
+    count = range(1, min(DONORS, int(there.sum())) + 1)
+    nearest = cKDTree(places[there.cpu().numpy()]).query(places[unseen.cpu().numpy()], k=count)[1]
+    is_head = solid[there][torch.from_numpy(nearest).to(solid.device)].float().mean(dim=1) > SOLID
     opacities = torch.where(is_head, OPACITY, LEFT_OUT).to(gaussians.opacity_logits)
     gaussians.opacity_logits[unseen] = torch.logit(opacities)
     empty = there & (seen.coverage[faces] < EMPTY)
