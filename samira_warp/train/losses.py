@@ -57,17 +57,17 @@ class LossWeights:
     (docs/measurements.md)."""
     response: float = 1e-3
     """Prior on the squared response logits: (albedo / c, c tau) looks the same until the light changes."""
-    normal_contrast: float = 0.3
+    normal_contrast: float = 0.05
     """Square of what a normal's turn from the mesh's own differs by from its neighbours' on the surface: what
     the mesh creases stays creased, and what is between two pixels, or seen by none, does not swirl."""
-    height: float = 0.1
+    height: float = 0.02
     """Mean square of the Gaussians' heights above their triangles, in HEIGHT_UNIT: along a line of sight, one
     place is as good as any other. A penalty and no limit: hair stands off."""
     materials: float = 0.01
     """Square of what roughness and reflectance differ by from what was measured (`train.materials`)."""
     materials_contrast: float = 0.05
     """The same from their neighbours' on the surface."""
-    light: float = 2e-3
+    light: float = 1e-3
     """Variance of the logarithm of the light's radiance over all directions: what shines from behind is seen
     along the outline at best, and would be of any colour and brightness. A lamp costs next to nothing: it is
     small."""
