@@ -154,7 +154,7 @@ def initial_gaussians(
     """
     vertices, faces = canonical.vertices, canonical.topology.faces.long()
     areas = face_areas(vertices, faces)
-    density = _density_factors(canonical) * count / (areas * _density_factors(canonical)).sum()
+    density = _densities(canonical, count)
     face_ids = _systematic_sample(areas * density, count, generator)
     barycentrics = _uniform_barycentrics(count, generator).to(vertices.device)
     frames = triangle_frames(vertices, canonical.topology)
@@ -183,6 +183,18 @@ def initial_gaussians(
         uv=uv,
         opacity=opacity,
     )
+
+
+def initial_spread(canonical: CanonicalHead, count: int) -> torch.Tensor:
+    """(F,) metres: standard deviation along the surface that `count` Gaussians start with on each face."""
+    return SIZE_IN_SPACINGS * _densities(canonical, count).rsqrt()
+
+
+def _densities(canonical: CanonicalHead, count: int) -> torch.Tensor:
+    """(F,) how many of `count` Gaussians start on a square metre of each face."""
+    factors = _density_factors(canonical)
+    areas = face_areas(canonical.vertices, canonical.topology.faces.long())
+    return factors * count / (areas * factors).sum()
 
 
 def _density_factors(canonical: CanonicalHead) -> torch.Tensor:

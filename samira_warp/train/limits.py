@@ -30,17 +30,29 @@ AXIS_RATIO = 15.0
 millimetre."""
 
 
+def longest_axes(face_scales: Tensor, spread: Tensor) -> Tensor:
+    """(F,) metres that a Gaussian's axes may reach on each face.
+
+    Args:
+        face_scales: (F,) k of every face at rest, metres.
+        spread: (F,) metres, what Gaussians start with: where they are fewer than triangles, each has to reach
+            beyond its own.
+    """
+    return torch.maximum((AXIS_LIMIT * face_scales).clamp(max=AXIS_LONGEST), spread)
+
+
 @torch.no_grad()
-def hold_shapes(gaussians: Gaussians, face_scales: Tensor) -> None:
+def hold_shapes(gaussians: Gaussians, face_scales: Tensor, longest_axes: Tensor) -> None:
     """Bring every Gaussian within the limits.
 
     Args:
         gaussians: Changed in place.
         face_scales: (F,) k of every face at rest, metres.
+        longest_axes: (F,) metres, from the function of that name.
     """
     means, log_scales = gaussians.means, gaussians.log_scales
     means.mul_(REACH / means.norm(dim=1, keepdim=True).clamp(min=REACH))
-    longest = (AXIS_LONGEST / face_scales[gaussians.faces.long()]).clamp(max=AXIS_LIMIT).log()
+    longest = (longest_axes / face_scales)[gaussians.faces.long()].log()
     log_scales.copy_(torch.minimum(log_scales, longest[:, None]))
     shortest = log_scales.amax(dim=1, keepdim=True) - math.log(AXIS_RATIO)
     log_scales.copy_(torch.maximum(log_scales, shortest))

@@ -15,9 +15,9 @@ from samira_warp.geometry.mesh import face_areas
 from samira_warp.train.begun import CHECKPOINTS_FOLDER
 from samira_warp.train.checkpoint import TrainingState, load_training, save_checkpoint
 from samira_warp.train.density import DensityStatistics, control_density, reset_opacity
-from samira_warp.train.initialize import spread_out
+from samira_warp.train.initialize import initial_spread, spread_out
 from samira_warp.train.interrupt import StopRequest
-from samira_warp.train.limits import hold_shapes
+from samira_warp.train.limits import hold_shapes, longest_axes
 from samira_warp.train.log import RunLog
 from samira_warp.train.losses import Known, Target, linear_albedo, loss_weights, total_loss
 from samira_warp.train.materials import hold_known
@@ -64,6 +64,8 @@ class Trainer:
         self.tracked = TrackedParameters(sequence.batch(sequence.train)).to(self.device)
         self.occlusions = FrameOcclusions(avatar.canonical, avatar.occluder, self.tracked)
         self.known = Known.of(avatar, skin=_held_skin(plan, sequence, self.device))
+        spread = initial_spread(avatar.canonical, plan.settings.gaussians)
+        self.longest_axes = longest_axes(self.known.face_scales, spread)
         self.optimizer = make_optimizer(avatar, self.tracked)
         self.density = DensityStatistics(len(avatar.gaussians), self.device)
         self.step = self.saved = 0
@@ -152,7 +154,7 @@ class Trainer:
         hold_known(self.avatar.gaussians, self.known.materials.held)
         hold_guesses(self.avatar.gaussians)
         self.optimizer.step(rows=[row])
-        hold_shapes(self.avatar.gaussians, self.known.face_scales)
+        hold_shapes(self.avatar.gaussians, self.known.face_scales, self.longest_axes)
         self._control_density()
         self.step += 1
         error = (rendering.image.detach() - target.image).square().mean()

@@ -5,7 +5,7 @@ import torch
 from subjects import small_avatar
 
 from samira_warp.kernels.mesh.triangle_frames import triangle_frames
-from samira_warp.train.limits import AXIS_LIMIT, AXIS_LONGEST, AXIS_RATIO, REACH, hold_shapes
+from samira_warp.train.limits import AXIS_LIMIT, AXIS_LONGEST, AXIS_RATIO, REACH, hold_shapes, longest_axes
 
 ROUNDING = 1 + 1e-5
 """Of a logarithm in float32, taken and undone."""
@@ -23,7 +23,7 @@ def held(device):
     before = gaussians.tensors() | {"means": gaussians.means.detach().clone()}
     before["log_scales"] = before["log_scales"].clone()
     scales = triangle_frames(canonical.vertices, canonical.topology).scale
-    hold_shapes(gaussians, scales)
+    hold_shapes(gaussians, scales, longest_axes(scales, torch.zeros_like(scales)))
     return gaussians, before, scales[gaussians.faces.long()]
 
 
@@ -55,3 +55,9 @@ def test_directions_are_kept(held):
     gaussians, before, _ = held
     unit = torch.nn.functional.normalize
     torch.testing.assert_close(unit(gaussians.means), unit(before["means"]), rtol=0, atol=1e-6)
+
+
+def test_few_gaussians_reach_beyond_their_triangles():
+    """A hundred on a head of thousands of triangles would leave holes otherwise."""
+    scales, spread = torch.tensor([0.001, 0.002, 0.02]), torch.tensor([0.003, 0.001, 0.001])
+    torch.testing.assert_close(longest_axes(scales, spread), torch.tensor([0.003, 0.0016, AXIS_LONGEST]))
