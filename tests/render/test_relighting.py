@@ -379,7 +379,7 @@ def test_a_region_is_painted_and_the_rest_is_not(tiny_run, tmp_path, regions):
         render(tiny_run, tmp_path / "after", "--layers", "albedo", "--albedo", "#ff0000", *regions),
         layer="albedo",
     )
-    changed = np.abs(after - before).max(axis=2) > 0.1
+    changed = np.abs(after - before).max(axis=2) > 0.03
     # the made-up head faces the camera: its forehead is above the middle, its nose in it, its neck below
     assert changed[6:13].any()
     assert changed[15:19, 12:20].any() == any("nose" in word for word in regions)
