@@ -134,7 +134,7 @@ def unlit(built_in_datasets, tmp_path):
     return root
 
 
-@pytest.mark.parametrize(("factor", "steps"), [(3.0, 36), (1 / 25.0, 24)])
+@pytest.mark.parametrize(("factor", "steps"), [(3.0, 60), (1 / 25.0, 40)])
 def test_skin_that_starts_too_bright_or_dark_comes_back(unlit, tmp_path, monkeypatch, factor, steps):
     """Albedo times a factor under light divided by it makes the same pictures: only the prior tells.
 
@@ -158,8 +158,8 @@ def test_skin_that_starts_too_bright_or_dark_comes_back(unlit, tmp_path, monkeyp
         for _ in range(steps):
             trainer.train_step()
         after = skin_luminance(trainer)
-    # a quarter beyond, the prior's slope is 0.2 log 1.25 = 0.04: pictures pull so while they are learnt
-    assert SKIN_LUMINANCE.low / 1.25 < after < SKIN_LUMINANCE.high * 1.25
+    # a third beyond, the prior's slope is 0.2 log 1.35 = 0.06: pictures pull so while they are learnt
+    assert SKIN_LUMINANCE.low / 1.35 < after < SKIN_LUMINANCE.high * 1.35
     assert abs(np.log(after / before)) > 0.4
 
 
