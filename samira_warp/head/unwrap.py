@@ -96,9 +96,7 @@ def _read_view(view: UnwrapView, atlas: UvAtlas, faces: Tensor, mesh: RayMesh) -
     normals = atlas.positions(vertex_normals(view.vertices, faces)).flatten(0, 1)
     towards = torch.nn.functional.normalize(view.camera.center - points, dim=1)
     cosine = (torch.nn.functional.normalize(normals, dim=1) * towards).sum(dim=1)
-    in_camera = points @ view.camera.world_to_camera[:3, :3].T + view.camera.world_to_camera[:3, 3]
-    pixel = in_camera[:, :2] / in_camera[:, 2:] * points.new_tensor([view.camera.fx, view.camera.fy])
-    pixel = pixel + points.new_tensor([view.camera.cx, view.camera.cy])
+    pixel = view.camera.image_points(points)[:, :2]
     grid = (2.0 * pixel / points.new_tensor([view.camera.width, view.camera.height]) - 1.0)[None, None]
     stacked = torch.cat([view.image, view.mask[..., None]], dim=-1).permute(2, 0, 1)[None]
     sampled = torch.nn.functional.grid_sample(stacked, grid, align_corners=False)[0, :, 0].T

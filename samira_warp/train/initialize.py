@@ -14,13 +14,12 @@ from samira_warp.head.unwrap import UnwrapView, unwrap
 from samira_warp.kernels.gathering.gather import bilinear_table, gather
 from samira_warp.kernels.mesh.triangle_frames import triangle_frames
 from samira_warp.nets import ConditionStatistics
-from samira_warp.train.materials import material_prior
+from samira_warp.train.materials import EYEBALLS, material_prior
 
 DENSE_GROUPS = ("left_eye_region", "right_eye_region", "lips")
 DENSE_FACTOR = 3.0
 """Expression happens at eyes and lips: they get three times the Gaussians per area."""
 
-SPARSE_GROUPS = ("left_eyeball", "right_eyeball")
 SPARSE_FACTOR = 0.5
 """Most of an eyeball is never seen."""
 
@@ -161,7 +160,7 @@ def initial_gaussians(
     rotation, scale = frames.rotation[face_ids], frames.scale[face_ids]
     points = torch.einsum("nk,nkc->nc", barycentrics, vertices[faces[face_ids]])
     means = torch.einsum("nji,nj->ni", rotation, points - frames.translation[face_ids]) / scale[:, None]
-    spread = SIZE_IN_SPACINGS * density[face_ids].rsqrt() / scale
+    spread = initial_spread(canonical, count)[face_ids] / scale
     scales = torch.stack([spread, FLATNESS * spread, spread], dim=1)
     world_normals = torch.einsum("nk,nkc->nc", barycentrics, vertex_normals(vertices, faces)[faces[face_ids]])
     normals = torch.nn.functional.normalize(torch.einsum("nji,nj->ni", rotation, world_normals), dim=1)
@@ -200,19 +199,19 @@ def _densities(canonical: CanonicalHead, count: int) -> torch.Tensor:
 def _density_factors(canonical: CanonicalHead) -> torch.Tensor:
     """(F,) relative density: a face counts as in a group, or an iris, when at least two of its corners do."""
     factors = torch.ones(len(canonical.vertices), device=canonical.vertices.device)
-    for groups, factor in ((DENSE_GROUPS, DENSE_FACTOR), (SPARSE_GROUPS, SPARSE_FACTOR)):
-        for group in groups:
-            members = canonical.template.masks.get(group)
-            if members is not None:
-                factors[torch.from_numpy(members).to(factors.device).long()] = factor
-    for group in SPARSE_GROUPS:
-        members = canonical.template.masks.get(group)
-        if members is not None:
-            ids = torch.from_numpy(members).to(factors.device).long()
-            ball = canonical.vertices[ids]
-            middle = 0.5 * (ball.amin(dim=0) + ball.amax(dim=0))
-            outwards = torch.nn.functional.normalize(ball - middle, dim=1)
-            factors[ids[outwards[:, 2] > math.cos(math.radians(IRIS_DEGREES))]] = IRIS_FACTOR
+    groups = {
+        name: torch.from_numpy(members).to(factors.device).long()
+        for name, members in canonical.template.masks.items()
+        if name in (*DENSE_GROUPS, *EYEBALLS)
+    }
+    for name in DENSE_GROUPS:
+        factors[groups.get(name, [])] = DENSE_FACTOR
+    for name in groups.keys() - set(DENSE_GROUPS):
+        ball = canonical.vertices[groups[name]]
+        middle = 0.5 * (ball.amin(dim=0) + ball.amax(dim=0))
+        forwards = torch.nn.functional.normalize(ball - middle, dim=1)[:, 2]
+        is_iris = forwards > math.cos(math.radians(IRIS_DEGREES))
+        factors[groups[name]] = torch.where(is_iris, IRIS_FACTOR, SPARSE_FACTOR)
     return factors[canonical.topology.faces.long()].median(dim=1).values
 
 

@@ -42,17 +42,17 @@ def longest_axes(face_scales: Tensor, spread: Tensor) -> Tensor:
 
 
 @torch.no_grad()
-def hold_shapes(gaussians: Gaussians, face_scales: Tensor, longest_axes: Tensor) -> None:
+def hold_shapes(gaussians: Gaussians, face_scales: Tensor, longest: Tensor) -> None:
     """Bring every Gaussian within the limits.
 
     Args:
         gaussians: Changed in place.
         face_scales: (F,) k of every face at rest, metres.
-        longest_axes: (F,) metres, from the function of that name.
+        longest: (F,) metres, `longest_axes`.
     """
     means, log_scales = gaussians.means, gaussians.log_scales
     means.mul_(REACH / means.norm(dim=1, keepdim=True).clamp(min=REACH))
-    longest = (longest_axes / face_scales)[gaussians.faces.long()].log()
-    log_scales.copy_(torch.minimum(log_scales, longest[:, None]))
+    ceiling = (longest / face_scales)[gaussians.faces.long()].log()
+    log_scales.copy_(torch.minimum(log_scales, ceiling[:, None]))
     shortest = log_scales.amax(dim=1, keepdim=True) - math.log(AXIS_RATIO)
     log_scales.copy_(torch.maximum(log_scales, shortest))

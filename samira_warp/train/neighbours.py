@@ -32,10 +32,12 @@ class Neighbourhood:
 
     Attributes:
         table: (N,) means over each one's neighbours.
+        places: (N, 7) float64 where they are, see `rest_places`.
         rotation: (N, 3, 3) from its triangle's frame to the head at rest.
     """
 
     table: GatherTable
+    places: np.ndarray
     rotation: Tensor
 
     def contrast(self, values: Tensor) -> Tensor:
@@ -62,7 +64,7 @@ def neighbourhood(gaussians: Gaussians, canonical: CanonicalHead) -> Neighbourho
     weights = torch.full(indices.shape, 1.0 / count)
     device = gaussians.means.device
     table = GatherTable.build(indices.to(device), weights.to(device), sources=len(places))
-    return Neighbourhood(table, rotation)
+    return Neighbourhood(table, places, rotation)
 
 
 def rest_places(gaussians: Gaussians, canonical: CanonicalHead) -> tuple[Tensor, np.ndarray]:

@@ -100,21 +100,16 @@ class Trainer:
         self.saved = self.step
         return path
 
-    def settle(self) -> int:
-        """Guess what no training picture saw (`train.unseen`).
-
-        Returns:
-            How many Gaussians are guesses.
-        """
+    def settle(self) -> None:
+        """Guess what no training picture saw (`train.unseen`)."""
         rows = spread_out(range(len(self.sequence.train)), SETTLING_VIEWS)
         frames = [(row, self.sequence.frames[self.sequence.train[row]]) for row in rows]
         views = (
             (self.tracked.frame(row, frame.parameters.to(self.device)), self.camera(frame))
             for row, frame in frames
         )
-        guesses = guess_unseen(self.avatar, look(self.avatar, views))
+        guess_unseen(self.avatar, look(self.avatar, views), self.known.neighbours)
         forget_gaussians(self.optimizer, self.avatar.gaussians.guessed)
-        return guesses
 
     def train_step(self) -> tuple[Rendering, Target, dict[str, torch.Tensor]]:
         """One frame forward, backward and updated.

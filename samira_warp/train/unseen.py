@@ -27,7 +27,7 @@ from samira_warp.kernels.mesh.triangle_frames import triangle_frames
 from samira_warp.kernels.raster.rasterizer import blend_again
 from samira_warp.train.density import spacing
 from samira_warp.train.initialize import FLATNESS, SIZE_IN_SPACINGS
-from samira_warp.train.neighbours import neighbourhood, rest_places
+from samira_warp.train.neighbours import Neighbourhood
 
 FACING = 0.17
 """Cosine, 80 degrees: a triangle is seen where some pixel shows it, turned away from the camera by less.
@@ -111,27 +111,29 @@ def _shares(gbuffer: GBuffer, count: int) -> Tensor:
 
 
 @torch.no_grad()
-def guess_unseen(avatar: Avatar, seen: Seen) -> int:
+def guess_unseen(avatar: Avatar, seen: Seen, neighbourhood: Neighbourhood) -> int:
     """Make discs on the surface of what was not seen.
 
     Args:
         avatar: Its Gaussians are changed in place.
         seen: What training saw of it.
+        neighbourhood: Of its Gaussians.
 
     Returns:
         How many Gaussians are guesses now: `Gaussians.guessed`.
     """
-    gaussians, canonical = avatar.gaussians, avatar.canonical
+    gaussians = avatar.gaussians
     faces = gaussians.faces.long()
     there = seen.faces[faces]
-    neighbours = neighbourhood(gaussians, canonical).table.indices.long()
+    neighbours = neighbourhood.table.indices.long()
     # small triangles slip between pixels: where most neighbours were seen, so was this
     unseen = ~there & (there[neighbours].float().mean(dim=1) <= 0.5)
     solid = seen.coverage[faces] > SOLID
     donors = there & solid & (seen.pixels >= MADE_UP)
     if not unseen.any() or not donors.any():
         return 0
-    places = rest_places(gaussians, canonical)[1][:, :6]
+    # positions and normals: what lies next to an unseen eyeball may be a lid
+    places = neighbourhood.places[:, :6]
     _lay_on_surface(avatar, unseen, _borrow(avatar, places, unseen, donors))
     count = range(1, min(DONORS, int(there.sum())) + 1)
     nearest = cKDTree(places[there.cpu().numpy()]).query(places[unseen.cpu().numpy()], k=count)[1]

@@ -7,6 +7,7 @@ from subjects import camera, parameters, small_avatar
 from samira_warp.head import FrameParameters
 from samira_warp.kernels.mesh.triangle_frames import triangle_frames
 from samira_warp.train.initialize import FLATNESS
+from samira_warp.train.neighbours import neighbourhood
 from samira_warp.train.optimizer import forget_gaussians, make_optimizer, set_rates
 from samira_warp.train.tracking import TrackedParameters
 from samira_warp.train.unseen import BORROWED, LEFT_OUT, OPACITY, Seen, guess_unseen, hold_guesses, look
@@ -29,6 +30,10 @@ def seen_where(avatar, faces, *, coverage=1.0):
     """As if the pictures had shown those triangles, and each of their Gaussians in a dozen pixels."""
     facing = faces.float()
     return Seen(12.0 * facing[avatar.gaussians.faces.long()], faces, coverage * facing)
+
+
+def guessed_from(avatar, seen):
+    return guess_unseen(avatar, seen, neighbourhood(avatar.gaussians, avatar.canonical))
 
 
 def copied(avatar):
@@ -64,7 +69,7 @@ def test_the_seen_stay_and_the_unseen_become_discs(avatar):
         gaussians.means.add_(0.3)
     before, depth = copied(avatar), middles(avatar)[:, 2]
     front = depth > depth.median()
-    guessed = guess_unseen(avatar, seen_where(avatar, front))
+    guessed = guessed_from(avatar, seen_where(avatar, front))
     changed = (gaussians.log_scales != before["log_scales"]).any(dim=1)
     donors = front[gaussians.faces.long()]
     assert int(changed.sum()) == guessed
@@ -95,7 +100,7 @@ def test_one_side_takes_over_the_others_colours(avatar):
     truth = (40.0 * side.abs())[:, None].expand(-1, 3)
     with torch.no_grad():
         gaussians.albedo_logits.copy_(torch.where(side[:, None] > 0, truth, -4.0))
-    guess_unseen(avatar, seen_where(avatar, across > 0))
+    guessed_from(avatar, seen_where(avatar, across > 0))
     far = side < -0.02
     error = (gaussians.albedo_logits.detach()[far] - truth[far]).abs().mean()
     assert float(error) < 0.1 * float(truth[far].mean())
@@ -108,7 +113,7 @@ def test_what_mattes_leave_out_stays_left_out(avatar):
     seen = seen_where(avatar, height > low)
     seen = seen._replace(coverage=torch.where(height > middle, 1.0, 0.0))
     place = height[gaussians.faces.long()]
-    guess_unseen(avatar, seen)
+    guessed_from(avatar, seen)
     opacities = gaussians.opacities.detach()
     torch.testing.assert_close(opacities[(place > low) & (place < middle)].max().item(), LEFT_OUT)
     assert (opacities[place < low - 0.02] <= 1.01 * LEFT_OUT).all()
@@ -119,7 +124,7 @@ def test_nothing_seen_or_all_seen_changes_nothing(avatar):
     before, faces = copied(avatar), len(avatar.canonical.topology.faces)
     for is_seen in (False, True):
         everywhere = torch.full((faces,), is_seen, device=avatar.gaussians.means.device)
-        assert guess_unseen(avatar, seen_where(avatar, everywhere)) == 0
+        assert guessed_from(avatar, seen_where(avatar, everywhere)) == 0
     assert all(torch.equal(getattr(avatar.gaussians, name), values) for name, values in before.items())
 
 
@@ -138,7 +143,7 @@ def test_guesses_keep_their_geometry_and_learn_their_colours(avatar):
         optimizer.zero_grad()
 
     step()
-    guess_unseen(avatar, seen_where(avatar, front))
+    guessed_from(avatar, seen_where(avatar, front))
     forget_gaussians(optimizer, gaussians.guessed)
     before = copied(avatar)
     for _ in range(3):

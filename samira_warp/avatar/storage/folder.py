@@ -23,7 +23,7 @@ from samira_warp.avatar.storage.description import (
     write_description,
 )
 from samira_warp.avatar.storage.frames import FRAMES_FILE, read_frames
-from samira_warp.avatar.storage.older import UNGUESSED, UNSMOOTHED
+from samira_warp.avatar.storage.older import UNSMOOTHED
 from samira_warp.head import HeadTemplate, read_template, save_template
 from samira_warp.io.files import save_tensors
 from samira_warp.light import Environment, LearnableLight
@@ -103,9 +103,8 @@ def read_avatar(folder: Path) -> StoredAvatar:
         state = load_file(folder / TENSORS_FILE)
     except (OSError, SafetensorError) as error:
         raise UserError(folder / TENSORS_FILE, expected="the avatar's tensors", found=error) from error
-    if description.version <= UNGUESSED:
-        seen = torch.zeros(len(state["gaussians.faces"]), dtype=torch.bool)
-        state["gaussians.guessed"] = seen
+    if description.version <= UNSMOOTHED:
+        state["gaussians.guessed"] = torch.zeros(len(state["gaussians.faces"]), dtype=torch.bool)
     template = _read_template(folder, str(description.record.get("template")))
     settings = description.settings
     canonical = CanonicalHead.build(

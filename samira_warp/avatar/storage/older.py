@@ -19,10 +19,8 @@ FORMAT = 5
 """The version that is written."""
 
 UNSMOOTHED = 4
-"""The last version without smoothing; a reader finds what stands for it (`storage.folder`)."""
-
-UNGUESSED = 4
-"""The last version that does not say which Gaussians are guesses."""
+"""The last version that says neither how Gaussians are smoothed, for which a reader finds what stands for it
+(`storage.folder`), nor which are guesses."""
 
 READABLE = (1, 2, 3, 4, 5)
 """The versions that are read, oldest first."""
