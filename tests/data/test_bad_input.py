@@ -344,8 +344,8 @@ def test_a_folder_of_another_format_says_what_was_looked_for(tmp_path):
         assert mark in message
 
 
-def test_a_dataset_within_the_folder_is_pointed_at(tiny_dataset):
-    assert f"the folder {tiny_dataset.name} in it is a dataset" in refused(tiny_dataset.parent)
+def test_a_dataset_within_the_folder_is_pointed_at(dataset):
+    assert f"the folder {dataset.name} in it is a dataset" in refused(dataset.parent)
 
 
 def test_no_template_asks_for_one(dataset):

@@ -135,7 +135,7 @@ def test_sizes_match_the_twin(device, generator, width, height):
 def test_a_hundred_thousand_in_one_tile(generator):
     """Specks that seldom cover two pixels, so that no pixel is full before it has seen them all."""
     camera = straight_camera("cpu", 16, 16)
-    scene = block(generator, "cpu", 120_000, extent=(0.06, 0.06), scale=1e-3, opacity=(0.2, 0.3))
+    scene = block(generator, "cpu", 200_000, extent=(0.06, 0.06), scale=1e-3, opacity=(0.08, 0.12))
     weights = make_weights(generator, camera)
     projection = project(*scene[:4], camera)
     bins = bin_tiles(projection, width=16, height=16)

@@ -97,8 +97,11 @@ def test_whatever_layout_drives_the_pictures_are_the_same(built_in_run, others, 
     expected = pictures.pop("VHAP export")
     assert len(expected) == 3
     for layout, found in pictures.items():
+        difference = (found - expected).abs()
         # Gaussians that float32 moves by some 1e-4 px
-        assert (found - expected).abs().max() < 0.5 / 255, layout
+        assert difference.mean() < 0.01 / 255, layout
+        # where one's alpha crosses 1/255 by that, it comes or goes as a whole
+        assert difference.max() < 1.5 / 255, layout
 
 
 def test_pose_is_held_to_the_training_frames(built_in_run, other):
