@@ -18,7 +18,7 @@ from tqdm import tqdm
 from samira_subject.lights import DatasetLight
 from samira_subject.orbit import POSES, held_poses, orbit_camera, view_name
 from samira_subject.performance import FRAMES_PER_SECOND, Performance, perform
-from samira_subject.plan import ORBIT, VERSION, SubjectPlan, Take, film_name
+from samira_subject.plan import HIDDEN_FILE, ORBIT, VERSION, SubjectPlan, Take, film_name
 from samira_subject.raycaster import Picture, PosedSkin
 from samira_subject.streams import Purpose, generator_of, number_of
 from samira_subject.studio import Cast, Studio, developed, on_white
@@ -36,6 +36,12 @@ ALBEDO_BLUR = 0.8 / 512
 FINISH_LAYERS = ("gt/roughness", "gt/specular")
 """What is written of `Picture.finish`, in its order."""
 
+HIDDEN_FACT = (
+    "motion that the template has no shapes for and the tracks do not say, a function of pose and "
+    "expression: displacement (frames, vertices, 3) of the posed vertices, metres along the world's axes"
+)
+"""What dataset.json says of it."""
+
 ALBEDO_GAIN = 0.05
 """Standard deviation of the factor that stands for how far such estimates stray from frame to frame."""
 
@@ -51,7 +57,7 @@ def make_subject(
     Args:
         folder: Where to.
         plan: What to make.
-        cast: Makes the head and its surface, which must be the plan's seed's.
+        cast: Makes the head and its surface, which must be the plan's seed's, hidden motion as the plan says.
         lights: The plan's lights in its order; None are the skies of those names.
 
     Raises:
@@ -101,7 +107,9 @@ class _Maker:
             (self._folder / name).mkdir(parents=True, exist_ok=True)
         self._write_facts()
         self._write_lights()
-        self._write_export(self._folder, [self._performance.frame(i) for i in range(len(self._performance))])
+        poses = [self._performance.frame(index) for index in range(len(self._performance))]
+        self._write_export(self._folder, poses)
+        self._write_hidden(poses)
         self._write_transforms()
         if self._plan.orbit:
             self._write_export(self._folder / ORBIT, self._held)
@@ -179,6 +187,15 @@ class _Maker:
         for index, pose in enumerate(poses):
             np.savez(folder / "flame_param" / f"{index:05d}.npz", **self._arrays(pose))
 
+    def _write_hidden(self, poses: Sequence[FrameParameters]) -> None:
+        """What moves as the tracks do not say, where something does."""
+        hidden = self._cast.hidden
+        if hidden is None:
+            return
+        rig = Rig.build(self._cast.template)
+        moved = [hidden.in_world(pose, rig.pose(pose, self._cast.identity)).numpy() for pose in poses]
+        np.savez_compressed(self._folder / HIDDEN_FILE, displacement=np.stack(moved))
+
     def _write_transforms(self) -> None:
         camera, train = self._studio.camera, self._plan.train
         frames = [entry(film_name(index), camera, timestep=index) for index in range(len(self._performance))]
@@ -248,7 +265,7 @@ def _facts(plan: SubjectPlan, performance: Performance) -> dict[str, object]:
         "orbit.json says yaw (degrees from +z towards +x) and pitch (above the horizon) of each picture; all "
         "but the first are test frames",
         "gt/capture_light.json": "the light of images/",
-    }
+    } | ({HIDDEN_FILE: HIDDEN_FACT} if plan.hidden else {})
 
 
 def _json(values: dict[str, object]) -> str:

@@ -31,6 +31,9 @@ LIGHTS = (CAPTURE, *(name for name in SKIES if name != CAPTURE), LAMP)
 SURFACE_LAYERS = ("gt/albedo", "gt/normal", "gt/roughness", "gt/specular")
 """What is written of the surface that a test frame shows."""
 
+HIDDEN_FILE = "gt/hidden_motion.npz"
+"""What moves as the tracks do not say, in metres of the world, a row a frame."""
+
 ORBIT = "gt/orbit"
 """The folder of the pictures from all around, a dataset of its own."""
 
@@ -48,6 +51,7 @@ class SubjectPlan:
         texels: Width and height of the painted maps.
         effort: How many rays.
         lights: Names of the light of most pictures, and of the others.
+        hidden: Whether it moves as well as its template has no shapes for (`hidden_motion`).
         orbit: From where the held poses are filmed; the first is straight ahead, and none films no orbit.
 
     Raises:
@@ -62,6 +66,7 @@ class SubjectPlan:
     texels: int = TEXELS
     effort: Effort = field(default_factory=Effort)
     lights: tuple[str, ...] = LIGHTS
+    hidden: bool = False
     orbit: tuple[View, ...] = VIEWS
 
     def __post_init__(self) -> None:

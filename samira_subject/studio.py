@@ -13,6 +13,7 @@ from threadpoolctl import threadpool_limits
 from torch import Tensor
 
 from samira_subject.eyelids import EYEBALLS, Eyelids
+from samira_subject.hidden_motion import HiddenMotion
 from samira_subject.raycaster import Effort, Picture, PosedSkin, Skin
 from samira_subject.raycaster_sampling import SkyTables
 from samira_subject.subdivision import LoopSubdivision, split_corners
@@ -53,11 +54,13 @@ class Cast:
         template: The head model.
         identity: (S,) float32 coefficients of its identity shapes.
         materials: What its surface is made of.
+        hidden: Motion that the head model has no shapes for; None is none.
     """
 
     template: HeadTemplate
     identity: Tensor
     materials: MaterialsLike
+    hidden: HiddenMotion | None = None
 
 
 class Studio:
@@ -82,6 +85,7 @@ class Studio:
             self._effort = effort
             self._rig = Rig.build(template)
             self._identity = cast.identity
+            self._hidden = cast.hidden
             self._subdivision = LoopSubdivision.build(template.faces, vertices=len(template.v_template))
             self._skin = Skin(
                 faces=self._subdivision.faces,
@@ -101,7 +105,10 @@ class Studio:
         """The head of one frame, ready for its picture."""
         with threads(1):
             posed = self._rig.pose(parameters, self._identity)
-            vertices = self._subdivision.refine(posed.vertices)
+            moved = posed.vertices
+            if self._hidden is not None:
+                moved = moved + self._hidden.in_world(parameters, posed)
+            vertices = self._subdivision.refine(moved)
             for lids in self._eyelids:
                 vertices = lids.clear(vertices, posed.joint_transforms)
             has_jaw = "jaw" in self._rig.joint_names

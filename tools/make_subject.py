@@ -60,6 +60,9 @@ class SubjectConfig:
     """How many of those are taken under each of the other lights as well."""
     orbit: bool = True
     """Film gt/orbit as well: two poses held, from all around."""
+    hidden_motion: bool = False
+    """Let the head move as well as its template has no shapes for, which no track says: gt/hidden_motion.npz
+    does."""
     preview: Path | None = None
     """The .png file of one picture of the head alone."""
     preview_size: int = 1024
@@ -189,17 +192,20 @@ def _make_dataset(config: SubjectConfig, out: Path, lights: list[DatasetLight]) 
         config.resolution,
         texels,
         lights=tuple(light.name for light in lights),
+        hidden=config.hidden_motion,
         orbit=VIEWS if config.orbit else (),
     )
     out.parent.mkdir(parents=True, exist_ok=True)
     with alone(out, what="a subject"):
         _check_targets(config)  # another process may have made it
-        make_subject(out, plan, partial(build_cast, config.seed, texels=texels), lights)
+        make_subject(
+            out, plan, partial(build_cast, config.seed, texels=texels, hidden=config.hidden_motion), lights
+        )
 
 
 def _write_preview(config: SubjectConfig, path: Path, light: DatasetLight) -> None:
     """One picture of one frame under one light."""
-    cast = build_cast(config.seed, texels=_texels(config.preview_size))
+    cast = build_cast(config.seed, texels=_texels(config.preview_size), hidden=config.hidden_motion)
     performance = perform(
         cast.template.expression_names, train=config.train, test=config.test, seed=config.seed
     )

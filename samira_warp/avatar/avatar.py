@@ -21,11 +21,12 @@ from samira_warp.avatar.response import response_factors, response_map
 from samira_warp.avatar.settings import AvatarSettings
 from samira_warp.avatar.storage import find_avatar, naming_misfits, read_avatar, write_avatar
 from samira_warp.avatar.uv_sampling import corner_table
+from samira_warp.avatar.wrinkles import face_tangents, limit_slopes, wrinkled
 from samira_warp.geometry.camera import Camera
 from samira_warp.head import REGIONS, FrameParameters, PosedHead, UvAtlas
 from samira_warp.kernels.gathering.gather import GatherTable, bilinear_table, gather
 from samira_warp.kernels.mesh.binding import BoundGaussians, FaceBinding, bind
-from samira_warp.kernels.mesh.triangle_frames import triangle_frames
+from samira_warp.kernels.mesh.triangle_frames import TriangleFrames, triangle_frames
 from samira_warp.light import (
     ColorSpace,
     Environment,
@@ -35,7 +36,7 @@ from samira_warp.light import (
     shade,
     to_display,
 )
-from samira_warp.nets import Conditions, ConditionStatistics, MotionNetwork
+from samira_warp.nets import RESIDUAL_CHANNELS, Conditions, ConditionStatistics, MotionNetwork
 from samira_warp.support.errors import UserError
 from samira_warp.support.tone_names import ToneMap
 from samira_warp.surface import Surface
@@ -49,15 +50,18 @@ class Motion(NamedTuple):
 
     Attributes:
         head: The posed mesh M_t.
-        gaussians: Means, quaternions and scales after the residual; normals before it (Eq. normal_transform).
+        gaussians: Means, quaternions and scales after the residual; normals before it (Eq. normal_transform),
+            but for wrinkles.
         residual_position: (H, W, 3) UV map, metres; zero without a residual.
         residual_rotation: (H, W, 3) UV map, axis-angle radians.
+        slopes: (H, W, 2) UV map of the wrinkles that turn the normals, along u and v; zero without them.
     """
 
     head: PosedHead
     gaussians: BoundGaussians
     residual_position: torch.Tensor
     residual_rotation: torch.Tensor
+    slopes: torch.Tensor
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,6 +144,8 @@ class Avatar(nn.Module):
         size = self.settings.uv_size
         self.binding = FaceBinding.build(gaussians.faces, len(self.canonical.topology.faces))
         self.uv_samples: GatherTable = bilinear_table(gaussians.uv, width=size, height=size)
+        tangents = face_tangents(self.canonical.vertices, self.canonical.topology, self.canonical.atlas)
+        self.tangents = tangents[gaussians.faces.long()]
         self.corners = corner_table(
             gaussians.uv, gaussians.faces, topology=self.canonical.topology, atlas=self.canonical.atlas
         )
@@ -156,13 +162,9 @@ class Avatar(nn.Module):
         """Mesh binding (Eq. lbs) refined by the residual (Eqs. uv_displacement to final_motion)."""
         head = self.canonical.pose(parameters)
         frames = triangle_frames(head.vertices, self.canonical.topology)
-        g = self.gaussians
-        bound = bind(g.means, g.quaternions, g.scales, g.normals, self.binding, frames)
-        # variances add, and those of an isotropic filter do along any axes
-        bound = bound._replace(scales=(bound.scales.square() + self.settings.smoothing**2).sqrt())
         if not self.settings.residual:
             nothing = torch.zeros_like(self.canonical.positions)
-            return Motion(head, bound, nothing, nothing)
+            return Motion(head, self._bound(frames), nothing, nothing, nothing[..., :2])
         displacement = (
             self.canonical.displacement(head, in_head=self.settings.displacement_frame == "head")
             / DISPLACEMENT_UNIT
@@ -170,7 +172,8 @@ class Avatar(nn.Module):
         residual = self.motion(displacement.permute(2, 0, 1), self.statistics(conditions_of(parameters)))
         residual = self.canonical.atlas.dilate(residual.permute(1, 2, 0))
         sampled = gather(residual.reshape(-1, residual.shape[-1]), self.uv_samples)
-        position, rotation = limit_residual(sampled)
+        position, rotation = limit_residual(sampled[:, :RESIDUAL_CHANNELS])
+        bound = self._bound(frames, limit_slopes(sampled[:, RESIDUAL_CHANNELS:]))
         if self.settings.residual_frame == "head":
             axes = head.head_transform[:3, :3].T
             position, rotation = position @ axes, rotation @ axes
@@ -178,7 +181,20 @@ class Avatar(nn.Module):
             means=bound.means + position,
             quaternions=quaternion_product(axis_angle_to_quaternion(rotation), bound.quaternions),
         )
-        return Motion(head, refined, *limit_residual(residual))
+        slopes = limit_slopes(residual[..., RESIDUAL_CHANNELS:])
+        if not self.settings.motion.wrinkles:
+            slopes = torch.zeros_like(residual[..., :2])
+        return Motion(head, refined, *limit_residual(residual[..., :RESIDUAL_CHANNELS]), slopes)
+
+    def _bound(self, frames: TriangleFrames, slopes: torch.Tensor | None = None) -> BoundGaussians:
+        """The Gaussians on their triangles, smoothed, with normals turned by (N, 2) slopes."""
+        g = self.gaussians
+        normals: torch.Tensor = g.normals
+        if slopes is not None and self.settings.motion.wrinkles:
+            normals = wrinkled(normals, slopes, self.tangents)
+        bound = bind(g.means, g.quaternions, g.scales, normals, self.binding, frames)
+        # variances add, and those of an isotropic filter do along any axes
+        return bound._replace(scales=(bound.scales.square() + self.settings.smoothing**2).sqrt())
 
     def surface(
         self,

@@ -17,6 +17,9 @@ from samira_warp.nets.modulation import RegionModulators
 RESIDUAL_CHANNELS = 6
 """Three of position o_mu and three of rotation o_r (Eq. offset_sample)."""
 
+SLOPE_CHANNELS = 2
+"""Of wrinkles, along u and v; beyond the paper."""
+
 
 @dataclass(frozen=True)
 class MotionSettings:
@@ -30,6 +33,7 @@ class MotionSettings:
         routing: Regions have masks of their own; False is one mask of ones and one modulator.
         modulation: Regions have modulators of their own; False is one modulator behind all masks.
         displacement: The displacement map is seen; False sets F_d to zero.
+        wrinkles: Slopes of the normals are given beside the residual.
     """
 
     width: int = 64
@@ -39,12 +43,13 @@ class MotionSettings:
     routing: bool = True
     modulation: bool = True
     displacement: bool = True
+    wrinkles: bool = False
 
 
 class MotionNetwork(nn.Module):
     """Eqs. uv_geom_feat to dynamic_map.
 
-    The last layer starts at zero, so the residual starts at exactly zero.
+    The last layers start at zero, so residual and slopes start at exactly zero.
     """
 
     reference: Tensor
@@ -99,8 +104,10 @@ class MotionNetwork(nn.Module):
         )
         self.decode = nn.Conv2d(settings.region_width + width, width, 3, padding=1)
         self.residual = nn.Conv2d(width, RESIDUAL_CHANNELS, 1)
-        for parameter in self.residual.parameters():
-            nn.init.zeros_(parameter)
+        self.slopes = nn.Conv2d(width, SLOPE_CHANNELS, 1) if settings.wrinkles else None
+        for last in filter(None, (self.residual, self.slopes)):
+            for parameter in last.parameters():
+                nn.init.zeros_(parameter)
 
     def forward(self, displacement: Tensor, conditions: Conditions) -> Tensor:
         """The UV residual map A_uv of one frame.
@@ -110,7 +117,7 @@ class MotionNetwork(nn.Module):
             conditions: The frame's standardised conditions.
 
         Returns:
-            (6, H, W) residuals before their limits: o_mu, then o_r.
+            (6, H, W) residuals before their limits: o_mu, then o_r; (8, H, W) with wrinkles, slopes last.
         """
         position = self.position(self.reference)
         shared = self._shared_feature(position, conditions)
@@ -120,7 +127,8 @@ class MotionNetwork(nn.Module):
             displaced = torch.zeros_like(position)
         semantic = self.modulators(torch.cat([shared, displaced], dim=1))
         decoded = nn.functional.silu(self.decode(torch.cat([semantic, shared], dim=1)))
-        return self.residual(decoded)[0]
+        residual = self.residual(decoded)[0]
+        return residual if self.slopes is None else torch.cat([residual, self.slopes(decoded)[0]])
 
     def _shared_feature(self, position: Tensor, conditions: Conditions) -> Tensor:
         """F_sh (Eqs. uv_gate to shared_uv_feature), from coarse to fine.

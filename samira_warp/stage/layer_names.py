@@ -18,6 +18,7 @@ else:
         "specular_light",
         "residual_position",
         "residual_rotation",
+        "wrinkles",
     ]
 """What `samira_warp.stage.layers.layer_image` draws. The channels of a surface come from their table, which a
 type checker cannot follow."""

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from samira_warp.avatar import Rendering
 from samira_warp.avatar.residual import POSITION_LIMIT
+from samira_warp.avatar.wrinkles import SLOPE_LIMIT
 from samira_warp.light import encode_srgb, to_display
 from samira_warp.stage.layer_names import Layer
 from samira_warp.support.constants import COVERED_ALPHA
@@ -64,6 +65,8 @@ def layer_image(rendering: Rendering, layer: Layer, *, transparent: bool = False
     values, limit = {
         "residual_position": (motion.residual_position, POSITION_LIMIT),
         "residual_rotation": (motion.residual_rotation, torch.pi),
+        # two slopes on red and green
+        "wrinkles": (torch.nn.functional.pad(motion.slopes, (0, 1)), SLOPE_LIMIT),
     }[layer]
     return LayerImage(0.5 + 0.5 * values / limit, values)
 

@@ -22,6 +22,7 @@ Ablation = Literal[
     "no-albedo",
     "no-mask",
     "no-visibility",
+    "no-wrinkles",
 ]
 
 PresetName = Literal["cpu", "paper"]

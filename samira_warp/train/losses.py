@@ -55,6 +55,8 @@ class LossWeights:
     """Mean square of the UV residual as a share of its limits: without it the network drifts by millimetres
     that the Gaussians' means take back, and memorises the tracker's noise frame by frame
     (docs/measurements.md)."""
+    wrinkles: float = 0.01
+    """Mean square of the slopes that turn normals."""
     response: float = 1e-3
     """Prior on the squared response logits: (albedo / c, c tau) looks the same until the light changes."""
     normal_contrast: float = 0.05
@@ -162,6 +164,8 @@ def total_loss(
         terms["mask"] = weights.mask * (rendering.gbuffer.alpha[..., 0] - target.mask).abs().mean()
     if avatar.settings.residual:
         terms["residual"] = weights.residual * residual_prior(rendering.motion, avatar.canonical.atlas.valid)
+    if avatar.settings.residual and avatar.settings.motion.wrinkles and stage_two:
+        terms["wrinkles"] = weights.wrinkles * slopes_prior(rendering.motion, avatar.canonical.atlas.valid)
     if perceptual is not None:
         terms["lpips"] = weights.lpips * perceptual(rendering.image, target.image)
     if target.albedo is not None and target.mask is not None:
@@ -196,6 +200,16 @@ def residual_prior(motion: Motion, valid: torch.Tensor) -> torch.Tensor:
     position, rotation = motion.residual_position / POSITION_LIMIT, motion.residual_rotation / torch.pi
     squares = (position.square() + rotation.square()).mean(dim=-1)
     return (squares * valid).sum() / valid.sum()
+
+
+def slopes_prior(motion: Motion, valid: torch.Tensor) -> torch.Tensor:
+    """Mean square of the wrinkles' slopes, along either axis.
+
+    Args:
+        motion: With the slopes' UV map.
+        valid: (H, W) texels of the atlas, over which the mean goes.
+    """
+    return (motion.slopes.square().mean(dim=-1) * valid).sum() / valid.sum()
 
 
 def normal_smoothness(normal: torch.Tensor, alpha: torch.Tensor) -> torch.Tensor:

@@ -78,6 +78,7 @@ class Settings:
             routing="no-routing" not in self.ablate,
             modulation="no-modulation" not in self.ablate,
             displacement="no-displacement" not in self.ablate,
+            wrinkles="no-wrinkles" not in self.ablate,
         )
         return AvatarSettings(
             uv_size=self.sizes.uv_size,

@@ -127,6 +127,8 @@ class Trainer:
         stage_two = "no-two-stage" in self.settings.ablate or self.schedule.in_stage_two(self.step)
         self.avatar.gaussians.normals.requires_grad_(stage_two)
         self.avatar.response_logits.requires_grad_(stage_two)
+        if self.avatar.motion.slopes is not None:
+            self.avatar.motion.slopes.requires_grad_(stage_two)
         set_rates(self.optimizer, step=self.step, steps=self.schedule.steps)
         frame, target = self._target(row)
         camera = self.camera(frame)

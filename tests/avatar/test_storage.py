@@ -59,7 +59,13 @@ def test_the_saved_light_is_the_learned_one(saved):
 def test_every_setting_survives(tmp_path):
     avatar = small_avatar(
         motion=MotionSettings(
-            width=6, region_width=3, condition_width=5, bands=2, routing=False, displacement=False
+            width=6,
+            region_width=3,
+            condition_width=5,
+            bands=2,
+            routing=False,
+            displacement=False,
+            wrinkles=True,
         ),
         residual_frame="head",
         displacement_frame="world",
@@ -190,7 +196,7 @@ def test_a_missing_part_of_an_older_versions_frames_is_named(copy, name):
 def test_an_older_folder_is_not_written_into(copy):
     frames = read_frames(copy)
     as_older(copy, 2)
-    refuses(copy, copy, "format 5", "found format 2", load=lambda folder: write_frames(folder, frames))
+    refuses(copy, copy, "format 6", "found format 2", load=lambda folder: write_frames(folder, frames))
     assert len(read_frames(copy)) == 1
     Avatar.load(copy).save(copy, record={})
     write_frames(copy, frames)
@@ -198,7 +204,7 @@ def test_an_older_folder_is_not_written_into(copy):
 
 
 def test_what_is_written_says_its_version(saved):
-    assert json.loads((saved[1] / "avatar.json").read_text())["format"] == 5
+    assert json.loads((saved[1] / "avatar.json").read_text())["format"] == 6
     assert "rotations" in tensor_names(saved[1] / "frames.safetensors")
 
 
@@ -221,7 +227,7 @@ def test_a_tied_light_is_one_map_and_comes_back(tmp_path):
 def test_an_unknown_version_is_refused_with_those_that_are_read(copy, version, found, load):
     description = json.loads((copy / "avatar.json").read_text())
     (copy / "avatar.json").write_text(json.dumps({**description, "format": version}))
-    refuses(copy, copy / "avatar.json", "an avatar of format 1 to 5", f"found {found}", load=load)
+    refuses(copy, copy / "avatar.json", "an avatar of format 1 to 6", f"found {found}", load=load)
 
 
 def test_a_description_of_another_kind_is_refused(copy):

@@ -32,6 +32,7 @@ WITH_VALUES = {
     "response_specular": 1,
     "residual_position": 3,
     "residual_rotation": 3,
+    "wrinkles": 3,
 }
 """Layers that come as .exr too, and their channels."""
 
@@ -115,7 +116,7 @@ def test_albedo_is_encoded_where_shading_is_linear(color_space):
 
 
 CONTRACT = """image albedo normal roughness specular alpha depth response_diffuse response_specular irradiance
-    specular_light residual_position residual_rotation"""
+    specular_light residual_position residual_rotation wrinkles"""
 
 DRAWN = {
     "normal": (0.5, lambda normal: (normal + 1) / 2),

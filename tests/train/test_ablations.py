@@ -16,6 +16,7 @@ SETTINGS = {
     "no-displacement": lambda settings: not settings["motion"]["displacement"],
     "no-modulation": lambda settings: not settings["motion"]["modulation"],
     "no-response": lambda settings: not settings["response"],
+    "no-wrinkles": lambda settings: not settings["motion"]["wrinkles"],
     "no-visibility": lambda settings: not settings["visibility"],
 }
 """What the saved avatar says of itself; the other ablations concern the loss and the schedule alone."""

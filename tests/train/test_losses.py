@@ -27,6 +27,7 @@ from samira_warp.train.neighbours import Neighbourhood
 SIZE = 24
 COUNT = 10
 WEIGHTS = LossWeights(
+    wrinkles=0.05,
     ssim=0.2,
     lpips=0.05,
     normal_smoothness=0.15,
@@ -62,7 +63,9 @@ def scene(device, generator):
         alpha=draw(SIZE, SIZE, 1),
     )
     motion = SimpleNamespace(
-        residual_position=0.02 * (draw(4, 4, 3) - 0.5), residual_rotation=draw(4, 4, 3) - 0.5
+        residual_position=0.02 * (draw(4, 4, 3) - 0.5),
+        residual_rotation=draw(4, 4, 3) - 0.5,
+        slopes=draw(4, 4, 2) - 0.5,
     )
     rendering = SimpleNamespace(image=draw(SIZE, SIZE, 3), gbuffer=gbuffer, motion=motion)
     initial = torch.nn.functional.normalize(draw(COUNT, 3), dim=1)
@@ -78,7 +81,7 @@ def scene(device, generator):
         ),
         response_logits=draw(10, 2) - 0.5,
         light=SimpleNamespace(radiance=lambda: maps),
-        settings=SimpleNamespace(residual=True),
+        settings=SimpleNamespace(residual=True, motion=SimpleNamespace(wrinkles=True)),
         canonical=SimpleNamespace(
             atlas=SimpleNamespace(valid=torch.arange(16).view(4, 4).to(device) % 3 > 0)
         ),
@@ -142,6 +145,7 @@ def test_every_term_has_its_closed_form(scene):
         "materials": 0.02 * (off**2).mean() + 0.1 * (contrast_of(off) ** 2).mean(),
         "residual": 0.1 * (numpy_of(rendering.motion.residual_position / 0.02)[valid] ** 2).mean()
         + 0.1 * (numpy_of(rendering.motion.residual_rotation / np.pi)[valid] ** 2).mean(),
+        "wrinkles": 0.05 * (numpy_of(rendering.motion.slopes)[valid] ** 2).mean(),
         "response": 1e-3 * (numpy_of(avatar.response_logits) ** 2).mean(),
     }
     assert inside.any()

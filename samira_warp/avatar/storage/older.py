@@ -6,6 +6,7 @@
 4   says whether the head blocks the light: before, it never did
 5   says by how much Gaussians are smoothed in space, and which are guesses: before, a wider low-pass widened
     them in the picture, and none was known to be a guess
+6   says whether wrinkles turn the normals: before, none did
 """
 
 from __future__ import annotations
@@ -15,14 +16,14 @@ from typing import Any
 import torch
 from torch import Tensor
 
-FORMAT = 5
+FORMAT = 6
 """The version that is written."""
 
 UNSMOOTHED = 4
 """The last version that says neither how Gaussians are smoothed, for which a reader finds what stands for it
 (`storage.folder`), nor which are guesses."""
 
-READABLE = (1, 2, 3, 4, 5)
+READABLE = (1, 2, 3, 4, 5, 6)
 """The versions that are read, oldest first."""
 
 POSE_PARTS = ("rotation", "neck", "jaw", "eyes")
@@ -34,6 +35,8 @@ def settings_of_version(settings: dict[str, Any], version: int) -> dict[str, Any
     before: dict[str, Any] = {"tied_light": False} if version == 1 else {}
     before |= {"visibility": False} if version <= 3 else {}
     before |= {"smoothing": 0.0} if version <= UNSMOOTHED else {}
+    if version <= 5 and isinstance(settings.get("motion"), dict):
+        before |= {"motion": {**settings["motion"], "wrinkles": False}}
     return {**settings, **before}
 
 
