@@ -158,18 +158,25 @@ class Avatar(nn.Module):
         self.set_gaussians(self.gaussians)
         return self
 
-    def move(self, parameters: FrameParameters) -> Motion:
-        """Mesh binding (Eq. lbs) refined by the residual (Eqs. uv_displacement to final_motion)."""
+    def move(self, parameters: FrameParameters, *, seen: FrameParameters | None = None) -> Motion:
+        """Mesh binding (Eq. lbs) refined by the residual (Eqs. uv_displacement to final_motion).
+
+        Args:
+            parameters: What poses the mesh.
+            seen: What the motion network sees of the frame instead of that, in training.
+        """
         head = self.canonical.pose(parameters)
         frames = triangle_frames(head.vertices, self.canonical.topology)
         if not self.settings.residual:
             nothing = torch.zeros_like(self.canonical.positions)
             return Motion(head, self._bound(frames), nothing, nothing, nothing[..., :2])
+        seen_head = head if seen is None else self.canonical.pose(seen)
+        conditions = self.statistics(conditions_of(parameters if seen is None else seen))
         displacement = (
-            self.canonical.displacement(head, in_head=self.settings.displacement_frame == "head")
+            self.canonical.displacement(seen_head, in_head=self.settings.displacement_frame == "head")
             / DISPLACEMENT_UNIT
         )
-        residual = self.motion(displacement.permute(2, 0, 1), self.statistics(conditions_of(parameters)))
+        residual = self.motion(displacement.permute(2, 0, 1), conditions)
         residual = self.canonical.atlas.dilate(residual.permute(1, 2, 0))
         sampled = gather(residual.reshape(-1, residual.shape[-1]), self.uv_samples)
         position, rotation = limit_residual(sampled[:, :RESIDUAL_CHANNELS])

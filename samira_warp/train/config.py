@@ -23,6 +23,7 @@ Ablation = Literal[
     "no-mask",
     "no-visibility",
     "no-wrinkles",
+    "no-jitter",
 ]
 
 PresetName = Literal["cpu", "paper"]

@@ -12,11 +12,13 @@ from samira_warp.data import Frame, PixelCache, TrackedSequence
 from samira_warp.evaluate.lpips import Lpips
 from samira_warp.geometry.camera import Camera
 from samira_warp.geometry.mesh import face_areas
+from samira_warp.head import FrameParameters
 from samira_warp.train.begun import CHECKPOINTS_FOLDER
 from samira_warp.train.checkpoint import TrainingState, load_training, save_checkpoint
 from samira_warp.train.density import DensityStatistics, control_density, reset_opacity
 from samira_warp.train.initialize import initial_spread, spread_out
 from samira_warp.train.interrupt import StopRequest
+from samira_warp.train.jitter import jittered, tracking_noise
 from samira_warp.train.limits import hold_shapes, longest_axes
 from samira_warp.train.log import RunLog
 from samira_warp.train.losses import Known, Target, linear_albedo, loss_weights, total_loss
@@ -62,6 +64,9 @@ class Trainer:
         self.perceptual: Lpips | None = None
         self.device = torch.device(plan.settings.device)
         self.tracked = TrackedParameters(sequence.batch(sequence.train)).to(self.device)
+        moments = [sequence.frames[index].timestep for index in sequence.train]
+        noise = tracking_noise(sequence.batch(sequence.train), moments)
+        self.noise = {name: values.to(self.device) for name, values in noise.items()}
         self.occlusions = FrameOcclusions(avatar.canonical, avatar.occluder, self.tracked)
         self.known = Known.of(avatar, skin=_held_skin(plan, sequence, self.device))
         spread = initial_spread(avatar.canonical, plan.settings.gaussians)
@@ -161,12 +166,19 @@ class Trainer:
         """`Avatar.render` of a training frame under the learned light, with what was traced of it before."""
         avatar = self.avatar
         parameters = self.tracked.frame(row, frame.parameters.to(self.device))
-        motion, light, arrival = avatar.move(parameters), avatar.light(), None
+        motion, light, arrival = avatar.move(parameters, seen=self._seen(parameters)), avatar.light(), None
         if avatar.settings.visibility:
             occlusion = self.occlusions.of(row, parameters, motion.head)
             arrival = avatar.arrival(occlusion, light, camera)
         gbuffer = avatar.rasterize(motion, camera, arrival=arrival)
         return avatar.shade(motion, gbuffer, camera, light, background=background)
+
+    def _seen(self, parameters: FrameParameters) -> FrameParameters | None:
+        """What the motion network sees of a frame at this step: another draw of the tracker's noise."""
+        if not self.avatar.settings.residual or "no-jitter" in self.settings.ablate:
+            return None
+        generator = torch.Generator().manual_seed(self.settings.seed * 1_000_003 + self.step)
+        return jittered(parameters, self.noise, generator=generator)
 
     def _state(self) -> TrainingState:
         return TrainingState(
