@@ -16,6 +16,7 @@ VERBS = {
     "render": "render an avatar, re-animated, relit, its materials changed",
     "evaluate": "score images against a dataset",
     "export": "write an avatar for other programs",
+    "ablate": "train the method without each of its parts, and compare",
     "bench": "time a part of the package on this machine",
 }
 """What each verb does, in the order in which they are used."""

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from samira_warp.data import FrameFiles, Listing
 from samira_warp.data.pictures import is_hidden
@@ -75,7 +76,7 @@ def find_comparisons(
                 expected=f"the name of a frame of {listing.root} (split {listing.split.text})",
                 found=name,
             )
-        labels = None if regions is None else _existing(regions / f"{name}.png", "the frame's region labels")
+        labels = None if regions is None else labels_path(regions, name)
         comparisons.append(
             Comparison(
                 frames[name], _existing(folder / f"{name}.png", "the frame's prediction"), true_path, labels
@@ -98,11 +99,7 @@ def read_pair(comparison: Comparison, *, layer: Layer) -> ImagePair:
         truth = torch.from_numpy(
             np.ascontiguousarray(resize_box(_read_laid(comparison.truth, layer), width=width, height=height))
         )
-    labels = (
-        None
-        if comparison.labels is None
-        else torch.from_numpy(resize_nearest(read_labels(comparison.labels), width=width, height=height))
-    )
+    labels = None if comparison.labels is None else _resized(comparison.labels, width=width, height=height)
     decoded = torch.from_numpy(prediction)
     if layer == "normal":
         decoded, truth = 2.0 * decoded - 1.0, 2.0 * truth - 1.0
@@ -114,6 +111,24 @@ def read_pair(comparison: Comparison, *, layer: Layer) -> ImagePair:
 def read_pairs(comparisons: list[Comparison], *, layer: Layer) -> Iterator[ImagePair]:
     """The pairs one after the other."""
     return (read_pair(comparison, layer=layer) for comparison in comparisons)
+
+
+def labels_path(regions: Path, name: str) -> Path:
+    """The label image of a frame.
+
+    Raises:
+        UserError: There is none.
+    """
+    return _existing(regions / f"{name}.png", "the frame's region labels")
+
+
+def read_frame_labels(regions: Path, name: str, *, width: int, height: int) -> Tensor:
+    """(height, width) uint8 region labels of a frame, the nearest ones of its label image.
+
+    Raises:
+        UserError: The image is missing or cannot be decoded.
+    """
+    return _resized(labels_path(regions, name), width=width, height=height)
 
 
 def read_region_names(regions: Path) -> dict[int, str]:
@@ -132,6 +147,10 @@ def read_region_names(regions: Path) -> dict[int, str]:
         return {int(label): str(name) for label, name in read_json(path).items()}
     except ValueError as fault:
         raise UserError(path, expected='labels and their names, such as {"1": "eye"}', found=fault) from fault
+
+
+def _resized(labels: Path, *, width: int, height: int) -> Tensor:
+    return torch.from_numpy(resize_nearest(read_labels(labels), width=width, height=height))
 
 
 def _read_laid(path: Path, layer: Layer) -> np.ndarray:

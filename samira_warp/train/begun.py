@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,7 +17,10 @@ from samira_warp.train.settings import settings_of
 CONFIG_FILE, AVATAR_FOLDER, CHECKPOINTS_FOLDER = "config.json", "avatar", "checkpoints"
 """Names in a run folder."""
 
-RECORDED_ONLY = ("settings", "steps", "earlier_lengths", "versions", "subject", "torch_threads")
+LENGTHS = ("steps", "earlier_lengths")
+"""Facts of config.json that say how long a run is to be, and was to be before it was extended."""
+
+RECORDED_ONLY = ("settings", *LENGTHS, "versions", "subject", "torch_threads")
 """Facts of config.json that are not compared when a run goes on: settings and lengths are seen to one by one,
 the others may differ."""
 
@@ -61,20 +64,21 @@ def find_begun(folder: Path, *, resume: bool) -> Begun | None:
         )
     if not begun and not (folder / CONFIG_FILE).exists():
         return None
-    return _read(folder, last_checkpoint(checkpoints) if begun else None)
+    return read_begun(folder, last_checkpoint(checkpoints) if begun else None)
 
 
-def check_same(begun: Begun, facts: Mapping[str, Any], *, folder: Path) -> None:
+def check_same(begun: Begun, facts: Mapping[str, Any], *, folder: Path, also: Collection[str] = ()) -> None:
     """Raise UserError unless a run goes on with what it was begun with.
 
     Args:
         begun: The run.
         facts: What it would be begun with now, as JSON values.
         folder: The run folder, for the message.
+        also: Names in RECORDED_ONLY that are compared all the same.
     """
     for name, value in facts.items():
         then = begun.record.get(name)
-        if name not in RECORDED_ONLY and then != value:
+        if (name not in RECORDED_ONLY or name in also) and then != value:
             raise UserError(f"{folder}: {name}", expected=f"{then} as the run was begun", found=value)
 
 
@@ -88,7 +92,12 @@ def say_other_bits(begun: Begun, facts: Mapping[str, Any]) -> None:
         print(f"begun on {device}, now on {now}: the bits will differ", file=sys.stderr)
 
 
-def _read(folder: Path, checkpoint: Path | None) -> Begun:
+def read_begun(folder: Path, checkpoint: Path | None) -> Begun:
+    """The run that a folder's config.json tells of, to go on from a checkpoint or, without one, to compare.
+
+    Raises:
+        UserError: The file is missing, or does not hold what it should.
+    """
     path = folder / CONFIG_FILE
     record = read_json(path)
     for name, kind in (("settings", dict), ("encoder", str), ("steps", int)):

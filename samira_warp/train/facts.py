@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import platform
 from hashlib import sha256
 from importlib.metadata import version
@@ -26,7 +27,7 @@ def run_facts(plan: TrainPlan, sequence: TrackedSequence, *, perceptual: bool) -
         perceptual: Whether there is an LPIPS term.
     """
     versions = {name: version(name) for name in PACKAGES}
-    return {
+    facts = {
         "subject": sequence.root.resolve().name,
         "split": plan.settings.split,
         "settings": plan.settings.as_json(),
@@ -40,6 +41,7 @@ def run_facts(plan: TrainPlan, sequence: TrackedSequence, *, perceptual: bool) -
         "versions": {"python": platform.python_version(), **versions},
         "torch_threads": torch.get_num_threads(),
     }
+    return json.loads(json.dumps(facts))
 
 
 def _frames_hash(sequence: TrackedSequence) -> str:

@@ -10,11 +10,14 @@ from typing import Any
 import torch
 
 import samira_warp
-from samira_warp.avatar import DrivingFrame, write_frames
+from samira_warp.avatar import Avatar, DrivingFrame, write_frames
+from samira_warp.data import PixelCache, TrackedSequence
 from samira_warp.data.pixels import load_mask
 from samira_warp.evaluate import ImagePair, Lpips, evaluate_images
+from samira_warp.evaluate.folders import read_frame_labels, read_region_names
 from samira_warp.io.images import to_uint8
 from samira_warp.train.begun import AVATAR_FOLDER
+from samira_warp.train.plan import TrainPlan
 from samira_warp.train.settings import Settings
 from samira_warp.train.trainer import Trainer
 
@@ -33,39 +36,56 @@ ROWS = {
 
 
 @torch.no_grad()
-def score(trainer: Trainer, lpips: Lpips | str) -> dict[str, Any]:
+def score(
+    avatar: Avatar,
+    sequence: TrackedSequence,
+    pixels: PixelCache,
+    *,
+    plan: TrainPlan,
+    lpips: Lpips | str,
+    regions: Path | None = None,
+) -> dict[str, Any]:
     """Score the test frames in 8 bits against the truth, rendered with the parameters they came with.
 
     Args:
-        trainer: At the end of its run.
+        avatar: At the end of its run.
+        sequence: What it was trained on.
+        pixels: The sequence's, at the run's resolution.
+        plan: The run.
         lpips: The distance, or why there is none.
+        regions: Folder of label images, with their names: scores by region as well.
+
+    Raises:
+        UserError: A picture or its labels cannot be read.
     """
-    sequence, avatar = trainer.sequence, trainer.avatar
     light = avatar.light()
 
     def pairs() -> Iterator[ImagePair]:
         for index in sequence.test:
             frame = sequence.frames[index]
-            camera = trainer.camera(frame)
-            rendering = avatar.render(frame.parameters.to(trainer.device), camera, light)
+            camera = frame.camera.with_longer_side(plan.settings.resolution)
+            size = {"width": camera.width, "height": camera.height}
+            rendering = avatar.render(frame.parameters, camera, light)
             prediction = torch.from_numpy(to_uint8(rendering.image.cpu().numpy())).float() / 255.0
             # not the cache's mask: at its 16 bits, pixels covered by exactly one half would count as
             # foreground
-            mask = load_mask(frame, width=camera.width, height=camera.height)
-            yield ImagePair(frame.name, prediction, trainer.pixels[index].image, mask=mask)
+            mask = load_mask(frame, **size)
+            labels = None if regions is None else read_frame_labels(regions, frame.name, **size)
+            yield ImagePair(frame.name, prediction, pixels[index].image, mask=mask, labels=labels)
 
     protocol = {
-        "split": f"test frames of --split {trainer.plan.settings.split}",
-        **_sizes(trainer),
+        "split": f"test frames of --split {plan.settings.split}",
+        **_sizes(plan),
         "bits": "8-bit predictions, box-resized truth",
         "parameters": "as tracked",
     }
-    return evaluate_images(pairs(), lpips=lpips, protocol=protocol)
+    names = None if regions is None else read_region_names(regions)
+    return evaluate_images(pairs(), lpips=lpips, region_names=names, protocol=protocol)
 
 
-def _sizes(trainer: Trainer) -> dict[str, Any]:
+def _sizes(plan: TrainPlan) -> dict[str, Any]:
     """The ``size`` [W, H] of the images that are scored, or ``sizes`` where cameras are of several shapes."""
-    sizes = [list(size) for size in trainer.plan.sizes]
+    sizes = [list(size) for size in plan.sizes]
     return {"size": sizes[0]} if len(sizes) == 1 else {"sizes": sizes}
 
 

@@ -39,12 +39,16 @@ TRAINING_LPIPS: dict[PresetName, LpipsNet] = {"cpu": "alex", "paper": "vgg"}
 RESULTS_FILE = "results.json"
 
 
-def train(config: TrainConfig) -> Path | None:
+def train(config: TrainConfig, *, again: str = "the same command and --resume") -> Path | None:
     """Train an avatar, write its run folder and score it on the test frames.
 
     Everything that can be checked without decoding images is checked before anything is written to the run
     folder; what can be checked without a dataset, before one is made: of the video that ``data`` is, or the
     built-in subject's, where ``data`` is None and it is not there yet.
+
+    Args:
+        config: The run as it is asked for.
+        again: What goes on with it after an interrupt, for the words that say so.
 
     Returns:
         The run folder, or None when Ctrl-C ended the run early (a checkpoint was saved).
@@ -56,7 +60,7 @@ def train(config: TrainConfig) -> Path | None:
     check_config(config)
     out = config.out or Path("runs") / _name(config.data)
     with claimed(out):
-        return _train(config, out)
+        return _train(config, out, again)
 
 
 def _name(data: Path | None) -> str:
@@ -66,7 +70,18 @@ def _name(data: Path | None) -> str:
     return data.stem if data.is_file() else data.resolve().name
 
 
-def _train(config: TrainConfig, out: Path) -> Path | None:
+def at_its_sizes(lpips: Lpips | str, plan: TrainPlan) -> Lpips | str:
+    """The distance that a run learns from and is scored by, or why there is none.
+
+    Raises:
+        UserError: The run's images are too small for SSIM.
+    """
+    smallest = min(plan.sizes, key=min)
+    check_size(smallest, resolution=plan.settings.resolution)
+    return f"images are smaller than {SMALLEST_IMAGE} pixels" if min(smallest) < SMALLEST_IMAGE else lpips
+
+
+def _train(config: TrainConfig, out: Path, again: str) -> Path | None:
     """The run, in its folder."""
     begun = find_begun(out, resume=config.resume)
     source = find_source(config.data, begun, out=out)
@@ -79,11 +94,8 @@ def _train(config: TrainConfig, out: Path) -> Path | None:
         source.make()
     sequence = open_checked(settings.data, split=settings.split, flame=settings.flame)
     plan = make_plan(settings, sequence, config, begun=begun)
-    smallest = min(plan.sizes, key=min)
-    check_size(smallest, resolution=settings.resolution)
-    if min(smallest) < SMALLEST_IMAGE:
-        lpips = f"images are smaller than {SMALLEST_IMAGE} pixels"
-    facts = json.loads(json.dumps(run_facts(plan, sequence, perceptual=isinstance(lpips, Lpips))))
+    lpips = at_its_sizes(lpips, plan)
+    facts = run_facts(plan, sequence, perceptual=isinstance(lpips, Lpips))
     if begun is not None and begun.checkpoint is not None:
         check_same(begun, facts, folder=out)
     with PixelCache(sequence.frames, resolution=settings.resolution, max_bytes=PIXEL_CACHE_BYTES) as pixels:
@@ -92,9 +104,9 @@ def _train(config: TrainConfig, out: Path) -> Path | None:
             trainer.perceptual = lpips.to(settings.device)
         announce(plan, sequence, lpips, record["encoder"])
         replace_file(out / CONFIG_FILE, json.dumps(record, indent=1))
-        if not _run_to_its_end(trainer, record):
+        if not _run_to_its_end(trainer, record, again):
             return None
-        _finish(trainer, lpips, record)
+        _finish(trainer, lpips, record, again)
     return out
 
 
@@ -123,7 +135,7 @@ def _going_on(begun: Begun, facts: dict[str, Any]) -> dict[str, Any]:
     )
 
 
-def _run_to_its_end(trainer: Trainer, record: dict[str, Any]) -> bool:
+def _run_to_its_end(trainer: Trainer, record: dict[str, Any], again: str) -> bool:
     """Train; False where Ctrl-C ended it, which a line says.
 
     Raises:
@@ -139,28 +151,27 @@ def _run_to_its_end(trainer: Trainer, record: dict[str, Any]) -> bool:
     except KeyboardInterrupt:
         print(
             f"given up at step {trainer.step} of {steps}, last saved at {trainer.saved}; "
-            "go on from there with the same command and --resume",
+            f"go on from there with {again}",
             file=sys.stderr,
         )
         raise
     if not finished:
         print(
-            f"stopped at step {trainer.step} of {steps}; go on with the same command and --resume",
+            f"stopped at step {trainer.step} of {steps}; go on with {again}",
             file=sys.stderr,
         )
     return finished
 
 
-def _finish(trainer: Trainer, lpips: Lpips | str, record: dict[str, Any]) -> None:
+def _finish(trainer: Trainer, lpips: Lpips | str, record: dict[str, Any], again: str) -> None:
     """Write the avatar and score it: words on standard error, a JSON line of scores on standard output."""
     settings = trainer.plan.settings
     replace_folder(settings.out / AVATAR_FOLDER, lambda folder: write_result(folder, trainer, record))
     try:
-        results = score(trainer, lpips)
+        results = score(trainer.avatar, trainer.sequence, trainer.pixels, plan=trainer.plan, lpips=lpips)
     except KeyboardInterrupt:
         print(
-            f"the avatar is in {settings.out / AVATAR_FOLDER}, not yet scored; "
-            "the same command and --resume scores it",
+            f"the avatar is in {settings.out / AVATAR_FOLDER}, not yet scored; {again} scores it",
             file=sys.stderr,
         )
         raise

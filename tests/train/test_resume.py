@@ -167,7 +167,7 @@ def test_ctrl_c_while_the_avatar_is_scored_says_where_it_is(
 ):
     from samira_warp.train import run as run_module
 
-    def interrupted(*arguments):
+    def interrupted(*_, **__):
         raise KeyboardInterrupt
 
     arguments = train_arguments(tiny_dataset, tmp_path / "run")
