@@ -9,7 +9,7 @@ from typing import NamedTuple
 import kornia
 import torch
 
-from samira_warp.avatar import Avatar, Gaussians, Motion, Rendering
+from samira_warp.avatar import Avatar, Motion, Rendering
 from samira_warp.avatar.residual import POSITION_LIMIT
 from samira_warp.kernels.mesh.triangle_frames import triangle_frames
 from samira_warp.light import decode_srgb
@@ -26,9 +26,6 @@ SURFACE_ALPHA = 0.5
 
 LIGHT_LEAST = 1e-3
 """Of radiance in a logarithm: black is a hundred times as dark as a dim wall, and no darker."""
-
-HEIGHT_UNIT = 0.005
-"""Metres: what a fitted mesh is off by where there is no hair."""
 
 ALBEDO_MASK = 0.95
 """Pseudo-albedo is compared where the matte is above this: at soft edges it is mixed with the background."""
@@ -59,12 +56,6 @@ class LossWeights:
     """Mean square of the slopes that turn normals."""
     response: float = 1e-3
     """Prior on the squared response logits: (albedo / c, c tau) looks the same until the light changes."""
-    normal_contrast: float = 0.05
-    """Square of what a normal's turn from the mesh's own differs by from its neighbours' on the surface: what
-    the mesh creases stays creased, and what is between two pixels, or seen by none, does not swirl."""
-    height: float = 0.02
-    """Mean square of the Gaussians' heights above their triangles, in HEIGHT_UNIT: along a line of sight, one
-    place is as good as any other. A penalty and no limit: hair stands off."""
     materials: float = 0.01
     """Square of what roughness and reflectance differ by from what was measured (`train.materials`)."""
     materials_contrast: float = 0.05
@@ -173,7 +164,6 @@ def total_loss(
     if known.skin is not None:
         terms["skin"] = weights.skin * skin_prior(mean_skin(avatar.gaussians, known.skin))
     terms["light"] = weights.light * light_prior(*avatar.light.radiance())
-    terms["height"] = weights.height * height_prior(avatar.gaussians, known.face_scales)
     off, contrast = material_terms(avatar.gaussians, known.materials, known.neighbours)
     terms["materials"] = weights.materials * off + weights.materials_contrast * contrast
     if stage_two:
@@ -182,9 +172,6 @@ def total_loss(
         )
         terms["normal_prior"] = weights.normal_prior * normal_prior(
             avatar.gaussians.normals, avatar.gaussians.initial_normals
-        )
-        terms["normal_contrast"] = weights.normal_contrast * normal_contrast(
-            avatar.gaussians.normals, avatar.gaussians.initial_normals, known.neighbours
         )
         terms["response"] = weights.response * avatar.response_logits.square().mean()
     return terms
@@ -237,35 +224,12 @@ def normal_prior(normals: torch.Tensor, initial: torch.Tensor) -> torch.Tensor:
     return (1.0 - (torch.nn.functional.normalize(normals, dim=-1) * initial).sum(-1)).mean()
 
 
-def height_prior(gaussians: Gaussians, face_scales: torch.Tensor) -> torch.Tensor:
-    """Mean square of how high Gaussians are above or below their triangles, in HEIGHT_UNIT.
-
-    Args:
-        gaussians: The avatar's.
-        face_scales: (F,) k of every triangle, metres.
-    """
-    heights = gaussians.means[:, 1] * face_scales[gaussians.faces.long()]
-    return (heights / HEIGHT_UNIT).square().mean()
-
-
 def light_prior(*maps: torch.Tensor) -> torch.Tensor:
     """Variance of the logarithm of a light's radiance, mean over its maps (6, R, R, 3).
 
     All three colours are about one mean: what costs nothing is grey.
     """
     return torch.stack([radiance.clamp(min=LIGHT_LEAST).log().var(correction=0) for radiance in maps]).mean()
-
-
-def normal_contrast(normals: torch.Tensor, initial: torch.Tensor, neighbours: Neighbourhood) -> torch.Tensor:
-    """Mean square of what the change of a canonical normal differs by from its neighbours' mean change.
-
-    Args:
-        normals: (N, 3), normalised here.
-        initial: (N, 3) unit, what they started as.
-        neighbours: On the surface.
-    """
-    change = neighbours.rest_normals(normals) - neighbours.rest_normals(initial)
-    return neighbours.contrast(change).square().sum(dim=-1).mean()
 
 
 def albedo_loss(albedo: torch.Tensor, truth: torch.Tensor, mask: torch.Tensor) -> torch.Tensor:

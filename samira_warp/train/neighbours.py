@@ -33,27 +33,20 @@ class Neighbourhood:
     Attributes:
         table: (N,) means over each one's neighbours.
         places: (N, 7) float64 where they are, see `rest_places`.
-        rotation: (N, 3, 3) from its triangle's frame to the head at rest.
     """
 
     table: GatherTable
     places: np.ndarray
-    rotation: Tensor
 
     def contrast(self, values: Tensor) -> Tensor:
         """(N, C) values less the mean over the neighbours'."""
         return values - gather(values, self.table)
 
-    def rest_normals(self, normals: Tensor) -> Tensor:
-        """(N, 3) unit directions at rest of (N, 3) in the triangles' frames."""
-        turned = (self.rotation @ normals[:, :, None])[:, :, 0]
-        return torch.nn.functional.normalize(turned, dim=-1)
-
 
 @torch.no_grad()
 def neighbourhood(gaussians: Gaussians, canonical: CanonicalHead) -> Neighbourhood:
     """Find the neighbours of Gaussians as they stand."""
-    rotation, places = rest_places(gaussians, canonical)
+    places = rest_places(gaussians, canonical)
     count = min(NEIGHBOURS, len(places) - 1)
     _, found = cKDTree(places).query(places, k=count + 1)
     others = found[found != np.arange(len(places))[:, None]]
@@ -64,11 +57,11 @@ def neighbourhood(gaussians: Gaussians, canonical: CanonicalHead) -> Neighbourho
     weights = torch.full(indices.shape, 1.0 / count)
     device = gaussians.means.device
     table = GatherTable.build(indices.to(device), weights.to(device), sources=len(places))
-    return Neighbourhood(table, places, rotation)
+    return Neighbourhood(table, places)
 
 
-def rest_places(gaussians: Gaussians, canonical: CanonicalHead) -> tuple[Tensor, np.ndarray]:
-    """(N, 3, 3) rotations of the Gaussians' triangles at rest, and (N, 7) float64 places on the surface.
+def rest_places(gaussians: Gaussians, canonical: CanonicalHead) -> np.ndarray:
+    """(N, 7) float64 places of Gaussians on the surface of the head at rest.
 
     A place is a position, a normal, and the piece of the mesh, in metres: neighbours are near each other. It
     follows from what is constant between refreshes of `Gaussians.uv`, so a run that goes on finds the same.
@@ -79,7 +72,7 @@ def rest_places(gaussians: Gaussians, canonical: CanonicalHead) -> tuple[Tensor,
     positions = gather(surface, bilinear_table(gaussians.uv, width=size, height=size))
     normals = NORMAL_METRES * (rotation @ gaussians.initial_normals[:, :, None])[:, :, 0]
     pieces = torch.from_numpy(_pieces(canonical)).to(faces.device)[faces]
-    return rotation, torch.cat([positions, normals, _APART * pieces[:, None]], dim=1).double().cpu().numpy()
+    return torch.cat([positions, normals, _APART * pieces[:, None]], dim=1).double().cpu().numpy()
 
 
 def _pieces(canonical: CanonicalHead) -> np.ndarray:

@@ -40,6 +40,9 @@ from samira_warp.train.unseen import guess_unseen, hold_guesses, look
 PREFETCH = 8
 """Frames decoded ahead of the step that needs them."""
 
+JITTER_STREAM = 1 << 40
+"""Added to the seed of what the network sees, which then has nothing to do with the background's."""
+
 SETTLING_VIEWS = 96
 """Training frames, evenly spaced, that tell what was seen."""
 
@@ -177,7 +180,7 @@ class Trainer:
         """What the motion network sees of a frame at this step: another draw of the tracker's noise."""
         if not self.avatar.settings.residual or "no-jitter" in self.settings.ablate:
             return None
-        generator = torch.Generator().manual_seed(self.settings.seed * 1_000_003 + self.step)
+        generator = torch.Generator().manual_seed(self.settings.seed * 1_000_003 + self.step + JITTER_STREAM)
         return jittered(parameters, self.noise, generator=generator)
 
     def _state(self) -> TrainingState:
@@ -217,12 +220,12 @@ class Trainer:
         return self.sequence.frames[index], Target(image, mask, albedo, background)
 
     def _background(self, matted: bool) -> torch.Tensor:
-        """(3,) display values behind the head: another colour at every step, from seed and step alone.
+        """(3,) display values behind the head: another colour every other step, from seed and step alone.
 
-        On one colour, coverage and colour make up for each other along the silhouette. White where no matte
-        says what is behind.
+        On one colour, coverage and colour make up for each other along the silhouette; on white, as pictures
+        are compared, they are to be exact. White where no matte says what is behind.
         """
-        if not matted:
+        if not matted or self.step % 2 == 0:
             return torch.ones(3, device=self.device)
         generator = torch.Generator().manual_seed(self.settings.seed * 1_000_003 + self.step)
         return torch.rand(3, generator=generator).to(self.device)

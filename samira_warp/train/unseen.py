@@ -4,7 +4,7 @@ Gaussians that no picture shows get no gradient: they stay as they were first th
 whatever colour an unwrapped picture had nearest; and what is seen at a grazing angle alone is pulled about
 from one side only. Late in training these become discs in their triangles' planes and take over what lies
 nearest on the surface and was seen, of this side or, mirrored, of the other. In the steps that are left they
-keep their geometry, and what was seen fits the outlines that they take part in.
+rest, and what was seen fits the outlines that they take part in.
 """
 
 from __future__ import annotations
@@ -147,11 +147,11 @@ def guess_unseen(avatar: Avatar, seen: Seen, neighbourhood: Neighbourhood) -> in
 
 
 def hold_guesses(gaussians: Gaussians) -> None:
-    """Clear the gradients of guessed geometry and opacity, after a backward pass.
+    """Clear the gradients of guesses, after a backward pass.
 
-    What is seen of it is its edge at most, which it would be pulled about for.
+    What is seen of them is their edge at most, which they would be pulled about for, and stained.
     """
-    for name in ("means", "log_scales", "quaternions", "opacity_logits"):
+    for name in Gaussians.PARAMETERS:
         gradient = getattr(gaussians, name).grad
         if gradient is not None:
             gradient[gaussians.guessed] = 0.0

@@ -91,9 +91,8 @@ def test_metrics_end_with_the_last_step(tiny_run):
         "albedo",
         "normal_smoothness",
         "normal_prior",
-        "normal_contrast",
     }
-    terms |= {"response", "light", "height", "materials"}
+    terms |= {"response", "light", "materials", "wrinkles"}
     assert terms <= set(last)
     assert last["loss"] == pytest.approx(sum(last[name] for name in terms))
     assert all(math.isfinite(value) for value in last.values())

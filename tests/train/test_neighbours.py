@@ -13,7 +13,7 @@ def avatar(device):
 
 def test_they_are_the_nearest_by_brute_force(avatar):
     found = neighbourhood(avatar.gaussians, avatar.canonical).table
-    _, places = rest_places(avatar.gaussians, avatar.canonical)
+    places = rest_places(avatar.gaussians, avatar.canonical)
     apart = ((places[:, None] - places[None]) ** 2).sum(axis=2)
     np.fill_diagonal(apart, np.inf)
     nearest = np.sort(apart, axis=1)[:, :NEIGHBOURS]
@@ -26,7 +26,7 @@ def test_they_are_the_nearest_by_brute_force(avatar):
 
 def test_places_are_on_the_surface(avatar):
     """The position map is bilinear in texels of a 32-wide atlas: within a texel of the Gaussian itself."""
-    _, places = rest_places(avatar.gaussians, avatar.canonical)
+    places = rest_places(avatar.gaussians, avatar.canonical)
     vertices = avatar.canonical.vertices.cpu().numpy()
     corners = vertices[
         avatar.canonical.topology.faces.cpu().long()[avatar.gaussians.faces.cpu().long()].numpy()
@@ -39,7 +39,7 @@ def test_places_are_on_the_surface(avatar):
 
 def test_an_eyeball_is_not_its_lids_neighbour(avatar):
     table = neighbourhood(avatar.gaussians, avatar.canonical).table
-    _, places = rest_places(avatar.gaussians, avatar.canonical)
+    places = rest_places(avatar.gaussians, avatar.canonical)
     pieces = places[:, 6]
     assert len(np.unique(pieces)) > 1
     crowded = np.isin(pieces, [piece for piece in np.unique(pieces) if (pieces == piece).sum() > NEIGHBOURS])
