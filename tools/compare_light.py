@@ -168,7 +168,6 @@ def _fit(config: CompareConfig, variant: Variant, sequence: TrackedSequence, pix
         response=variant.response_prior,
         normal_smoothness=0.0,
         normal_prior=0.0,
-        normal_contrast=0.0,
         materials=0.0,
         materials_contrast=0.0,
         residual=0.0,
