@@ -36,8 +36,8 @@ def test_a_head_at_rest_stays_where_it_is(cast):
     assert (cast.hidden.displacement(rig.rest()) == 0).all()
 
 
-def test_no_shape_of_the_template_makes_it(cast, played):
-    """Neither expression shapes nor turns of the joints, all together: least squares over each frame's."""
+def test_shapes_of_the_template_do_not_make_it(cast, played):
+    """Nor turns of its joints, nor all together as they fit each frame best."""
     rig, hidden = Rig.build(cast.template), cast.hidden
     rest = rig.rest()
     at_rest = rig.pose(rest, cast.identity).vertices
@@ -59,9 +59,6 @@ def test_no_shape_of_the_template_makes_it(cast, played):
     explained = (motions @ basis).square().sum() / motions.square().sum()
     # hair that lags is a little like a neck that turns less, and collars like one that turns more
     assert explained < 0.45
-    for part, direction in zip(hidden.parts, hidden.directions, strict=True):
-        flat = direction.flatten().double()
-        assert (flat @ basis).square().sum() < 0.5 * flat.square().sum(), part
 
 
 def test_it_turns_with_the_head(cast, played):
