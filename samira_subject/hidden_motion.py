@@ -1,8 +1,8 @@
 """Motion that the built-in subject's template has no shapes for: a known function of pose and expression.
 
 Nothing of it is in the tracks: whoever models the head from them has to learn it from the pictures, even what
-shapes of the template could make together. A cheek bulges when it smiles, lips press thinner than their shapes
-make them, the fold of an eyelid sinks when it closes, and hair and collar stay behind when the head turns.
+shapes of the template could make together. A cheek bulges when it smiles, lips press thinner than their
+shapes make them, the fold of an eyelid sinks when it closes, hair and collar stay behind when the head turns.
 """
 
 from __future__ import annotations
