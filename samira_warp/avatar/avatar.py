@@ -55,6 +55,7 @@ class Motion(NamedTuple):
         residual_position: (H, W, 3) UV map, metres; zero without a residual.
         residual_rotation: (H, W, 3) UV map, axis-angle radians.
         slopes: (H, W, 2) UV map of the wrinkles that turn the normals, along u and v; zero without them.
+        normals: (N, 3) canonical normals, of any length, as wrinkles have turned them.
     """
 
     head: PosedHead
@@ -62,6 +63,7 @@ class Motion(NamedTuple):
     residual_position: torch.Tensor
     residual_rotation: torch.Tensor
     slopes: torch.Tensor
+    normals: torch.Tensor
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,9 +169,10 @@ class Avatar(nn.Module):
         """
         head = self.canonical.pose(parameters)
         frames = triangle_frames(head.vertices, self.canonical.topology)
+        normals: torch.Tensor = self.gaussians.normals
         if not self.settings.residual:
             nothing = torch.zeros_like(self.canonical.positions)
-            return Motion(head, self._bound(frames), nothing, nothing, nothing[..., :2])
+            return Motion(head, self._bound(frames, normals), nothing, nothing, nothing[..., :2], normals)
         seen_head = head if seen is None else self.canonical.pose(seen)
         conditions = self.statistics(conditions_of(parameters if seen is None else seen))
         displacement = (
@@ -180,7 +183,11 @@ class Avatar(nn.Module):
         residual = self.canonical.atlas.dilate(residual.permute(1, 2, 0))
         sampled = gather(residual.reshape(-1, residual.shape[-1]), self.uv_samples)
         position, rotation = limit_residual(sampled[:, :RESIDUAL_CHANNELS])
-        bound = self._bound(frames, limit_slopes(sampled[:, RESIDUAL_CHANNELS:]))
+        slopes = torch.zeros_like(residual[..., :2])
+        if self.settings.motion.wrinkles:
+            slopes = limit_slopes(residual[..., RESIDUAL_CHANNELS:])
+            normals = wrinkled(normals, limit_slopes(sampled[:, RESIDUAL_CHANNELS:]), self.tangents)
+        bound = self._bound(frames, normals)
         if self.settings.residual_frame == "head":
             axes = head.head_transform[:3, :3].T
             position, rotation = position @ axes, rotation @ axes
@@ -188,17 +195,11 @@ class Avatar(nn.Module):
             means=bound.means + position,
             quaternions=quaternion_product(axis_angle_to_quaternion(rotation), bound.quaternions),
         )
-        slopes = limit_slopes(residual[..., RESIDUAL_CHANNELS:])
-        if not self.settings.motion.wrinkles:
-            slopes = torch.zeros_like(residual[..., :2])
-        return Motion(head, refined, *limit_residual(residual[..., :RESIDUAL_CHANNELS]), slopes)
+        return Motion(head, refined, *limit_residual(residual[..., :RESIDUAL_CHANNELS]), slopes, normals)
 
-    def _bound(self, frames: TriangleFrames, slopes: torch.Tensor | None = None) -> BoundGaussians:
-        """The Gaussians on their triangles, smoothed, with normals turned by (N, 2) slopes."""
+    def _bound(self, frames: TriangleFrames, normals: torch.Tensor) -> BoundGaussians:
+        """The Gaussians on their triangles, smoothed, with (N, 3) canonical normals."""
         g = self.gaussians
-        normals: torch.Tensor = g.normals
-        if slopes is not None and self.settings.motion.wrinkles:
-            normals = wrinkled(normals, slopes, self.tangents)
         bound = bind(g.means, g.quaternions, g.scales, normals, self.binding, frames)
         # variances add, and those of an isotropic filter do along any axes
         return bound._replace(scales=(bound.scales.square() + self.settings.smoothing**2).sqrt())

@@ -53,7 +53,7 @@ class LossWeights:
     that the Gaussians' means take back, and memorises the tracker's noise frame by frame
     (docs/measurements.md)."""
     wrinkles: float = 0.01
-    """Mean square of the slopes that turn normals."""
+    """Mean square of the slopes that turn normals: what stays is the normals' own."""
     response: float = 1e-3
     """Prior on the squared response logits: (albedo / c, c tau) looks the same until the light changes."""
     materials: float = 0.01
@@ -170,8 +170,9 @@ def total_loss(
         terms["normal_smoothness"] = weights.normal_smoothness * normal_smoothness(
             rendering.gbuffer.normal, rendering.gbuffer.alpha
         )
+        # as wrinkles have turned them: what they turn in all frames costs what the normals' own turn does
         terms["normal_prior"] = weights.normal_prior * normal_prior(
-            avatar.gaussians.normals, avatar.gaussians.initial_normals
+            rendering.motion.normals, avatar.gaussians.initial_normals
         )
         terms["response"] = weights.response * avatar.response_logits.square().mean()
     return terms

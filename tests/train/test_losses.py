@@ -61,6 +61,7 @@ def scene(device, generator):
         residual_position=0.02 * (draw(4, 4, 3) - 0.5),
         residual_rotation=draw(4, 4, 3) - 0.5,
         slopes=draw(4, 4, 2) - 0.5,
+        normals=2 * draw(COUNT, 3) + 0.1,
     )
     rendering = SimpleNamespace(image=draw(SIZE, SIZE, 3), gbuffer=gbuffer, motion=motion)
     initial = torch.nn.functional.normalize(draw(COUNT, 3), dim=1)
@@ -116,7 +117,7 @@ def test_every_term_has_its_closed_form(scene):
         (normal[1:], normal[:-1], surface[1:] & surface[:-1]),
     ):
         pairs.append(1 - (first * second).sum(-1)[both])
-    canonical, initial = numpy_of(avatar.gaussians.normals), numpy_of(avatar.gaussians.initial_normals)
+    canonical, initial = numpy_of(rendering.motion.normals), numpy_of(avatar.gaussians.initial_normals)
     cosine = (canonical * initial).sum(-1) / np.linalg.norm(canonical, axis=-1)
     inside = numpy_of(target.mask) > 0.95
     valid = avatar.canonical.atlas.valid.cpu().numpy()
