@@ -190,4 +190,8 @@ def _panorama(radiance: RadianceMap) -> np.ndarray:
         texels = cube_to_equirect(texels, height=THUMBNAIL)
     small = resize_box(texels.numpy(), width=2 * THUMBNAIL, height=THUMBNAIL)
     grey = float(np.median(small.mean(axis=2))) or 1.0
-    return to_display(torch.from_numpy(0.2 / grey * small), tone_map="filmic").clamp(0.0, 1.0).numpy()
+    return (
+        to_display(torch.from_numpy(0.2 / grey * small), color_space="srgb", tone_map="filmic")
+        .clamp(0.0, 1.0)
+        .numpy()
+    )

@@ -67,6 +67,11 @@ class Scene:
     def __init__(self, shown: Shown, lights: Lights, *, second: Shown | None = None) -> None:
         self.shown, self.lights, self.second = shown, lights, second
 
+    @property
+    def device(self) -> torch.device:
+        """Where the avatars are."""
+        return self.shown.avatar.canonical.vertices.device
+
     def replace_avatar(self, avatar: Avatar, folder: Path) -> None:
         """Show a newer state of the avatar."""
         self.shown = self.shown._replace(avatar=avatar, folder=folder)

@@ -70,17 +70,21 @@ class Light:
     lamp: Lamp | None = None
 
 
+Beside = Literal["nothing", "light", "avatar"]
+"""What the right part of a picture shows: the avatar under another light, or another one under the same."""
+
+
 @dataclass(frozen=True)
 class Comparison:
     """What the right part of a split picture shows.
 
     Attributes:
-        of: "light" is the same avatar under another light, "avatar" a second one under the same light.
+        of: What is there.
         light: The other light.
         split: Share of the picture's width at which the right part begins.
     """
 
-    of: Literal["nothing", "light", "avatar"] = "nothing"
+    of: Beside = "nothing"
     light: Light = field(default_factory=Light)
     split: float = 0.5
 
