@@ -19,8 +19,8 @@ from samira_warp.view.look import Look
 from samira_warp.view.scene import Scene
 from samira_warp.view.state import LEARNED, State
 
-SAME_VIEW = 0.02
-"""Degrees between two cameras' axes that are not worth a word: a fifth of a pixel."""
+SAME_VIEW = 0.005
+"""Degrees between two cameras' axes that are not worth a word: a fifth of a pixel where 18 fill 720."""
 
 LAMP_FILE = "lamp.json"
 

@@ -32,22 +32,22 @@ class Panel:
         """Make the tabs."""
         gui = self._client.gui
         tabs = gui.add_tab_group()
-        with tabs.add_tab("Play", viser.Icon.PLAYER_PLAY):
+        with tabs.add_tab("Play"):
             self._play = PlayTab(gui, session)
             with gui.add_folder("Camera"):
                 CameraControls(gui, session, self._client.camera)
-        with tabs.add_tab("Face", viser.Icon.MOOD_SMILE):
+        with tabs.add_tab("Face"):
             FaceTab(gui, session)
-        with tabs.add_tab("Light", viser.Icon.BULB):
+        with tabs.add_tab("Light"):
             LightTab(gui, session)
-        with tabs.add_tab("Look", viser.Icon.PALETTE):
+        with tabs.add_tab("Look"):
             AppearanceTab(gui, session)
-        with tabs.add_tab("Compare", viser.Icon.COLUMNS_2):
+        with tabs.add_tab("Compare"):
             CompareTab(gui, session)
-        with tabs.add_tab("Save", viser.Icon.DOWNLOAD):
+        with tabs.add_tab("Save"):
             self._save = SaveTab(gui, session, data=config.data, split=config.split)
         if progress is not None:
-            with tabs.add_tab("Run", viser.Icon.CHART_LINE):
+            with tabs.add_tab("Run"):
                 self._training = TrainingTab(gui, progress)
 
     def show(self, picture: np.ndarray, *, quality: int) -> None:

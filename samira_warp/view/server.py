@@ -6,6 +6,7 @@ import contextlib
 import io
 import math
 import threading
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -48,6 +49,8 @@ class Server:
         self._turns = Turns()
         start = start_look(scene)
         self._start = State(start)
+        # a picture that was being made for a browser when it went is lost, and that is all
+        warnings.filterwarnings("ignore", message="Queued a .* on a closed connection")
         with contextlib.redirect_stdout(io.StringIO()):  # its banner
             self._viser = viser.ViserServer(host=config.host, port=port, label=TITLE, verbose=False)
         if self._viser.get_port() != port:

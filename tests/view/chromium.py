@@ -126,9 +126,12 @@ class Browser:
         return page
 
     def vanish(self, page):
-        """Close a tab without a farewell."""
+        """Close a tab, once."""
+        if page.tab is None:
+            return
         page.close()
         urllib.request.urlopen(f"http://127.0.0.1:{self._port}/json/close/{page.tab}", timeout=30).read()
+        page.tab = None
 
     def end(self):
         self._process.terminate()

@@ -52,7 +52,7 @@ class Materials:
             gui.add_slider(label, 0.0, most, 0.05, 1.0)
             for label, most in (("Albedo, times", 2.0), ("Roughness, times", 2.0), ("Specular, times", 4.0))
         ]
-        reset = gui.add_button("All regions as learned", icon=viser.Icon.ROTATE)
+        reset = gui.add_button("All regions as learned", icon=viser.Icon.ROTATE, color="gray")
         on_change(self._region, lambda _: self._show())
         for slider in self._sliders:
             on_change(slider, lambda _: self._apply())

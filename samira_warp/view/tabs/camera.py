@@ -21,12 +21,17 @@ class CameraControls:
     def __init__(self, gui: viser.GuiApi, session: Session, camera: viser.CameraHandle) -> None:
         self._session, self._camera = session, camera
         self._start = session.state.look
-        fov = gui.add_slider("Field of view, degrees", 3.0, 90.0, 0.5, round(self._start.fov, 1))
+        fov = gui.add_slider("View, degrees", 3.0, 90.0, 0.5, round(self._start.fov, 1))
         self._roll = gui.add_slider("Roll, degrees", -180, 180, 1, 0)
         on_change(fov, lambda value: setattr(camera, "fov", math.radians(value)))
         on_change(self._roll, lambda value: self._tilt(float(value)))
-        on_click(gui.add_button("Before the face", icon=viser.Icon.FOCUS_CENTERED), self._before_face)
-        on_click(gui.add_button("Centre on the head, upright", icon=viser.Icon.CROSSHAIR), self._centre)
+        on_click(
+            gui.add_button("Before the face", icon=viser.Icon.FOCUS_CENTERED, color="gray"), self._before_face
+        )
+        on_click(
+            gui.add_button("Centre on the head, upright", icon=viser.Icon.CROSSHAIR, color="gray"),
+            self._centre,
+        )
 
     def _tilt(self, degrees: float) -> None:
         """Turn the camera's upward direction about its line of sight."""

@@ -27,7 +27,7 @@ class FaceTab:
         self._expressions: dict[str, Any] = {}
         self._joints: list[tuple[JointControl, Any]] = []
         gui.add_markdown("*Added to the frame that is shown.*")
-        reset = gui.add_button("All back to 0", icon=viser.Icon.ROTATE)
+        reset = gui.add_button("All back to 0", icon=viser.Icon.ROTATE, color="gray")
         with gui.add_folder("Head, jaw and gaze, degrees"):
             for joint in joint_controls(template):
                 slider = gui.add_slider(joint.label, -joint.limit, joint.limit, DEGREES_STEP, 0.0)
