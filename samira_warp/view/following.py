@@ -15,7 +15,7 @@ from samira_warp.avatar import Avatar
 from samira_warp.io.files import read_json
 from samira_warp.support.errors import UserError
 from samira_warp.train.begun import CONFIG_FILE
-from samira_warp.view.sources import newest_avatar
+from samira_warp.view.runs import newest_avatar
 
 METRICS_FILE = "metrics.jsonl"
 EVERY = 2.0

@@ -44,7 +44,7 @@ class Lit(NamedTuple):
     Attributes:
         environment: Turned and exposed; what is seen of it behind the head.
         filtered: What shading needs of it.
-        key: Equal where the light is, but for its turn.
+        key: Equal where the light is, but for its turn and its exposure.
     """
 
     environment: Environment
@@ -106,7 +106,7 @@ class Lights:
         return Lit(
             environment.turned(light.rotate).exposed(factor),
             filtered.turned(light.rotate).exposed(factor),
-            (*key, light.stops),
+            key,
         )
 
     def rig(self, avatar: Avatar, light: Light, *, detail: Detail = "full") -> LightRig:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 import viser
 
 from samira_warp.view.config import ViewConfig
-from samira_warp.view.following import Progress
 from samira_warp.view.session import Session
 from samira_warp.view.state import State
 from samira_warp.view.tabs.appearance import AppearanceTab
@@ -16,7 +17,10 @@ from samira_warp.view.tabs.face import FaceTab
 from samira_warp.view.tabs.light import LightTab
 from samira_warp.view.tabs.play import PlayTab
 from samira_warp.view.tabs.saving import SaveTab
-from samira_warp.view.tabs.training import TrainingTab
+
+if TYPE_CHECKING:
+    from samira_warp.view.following import Progress
+    from samira_warp.view.tabs.training import TrainingTab
 
 
 class Panel:
@@ -47,6 +51,8 @@ class Panel:
         with tabs.add_tab("Save"):
             self._save = SaveTab(gui, session, data=config.data, split=config.split)
         if progress is not None:
+            from samira_warp.view.tabs.training import TrainingTab
+
             with tabs.add_tab("Run"):
                 self._training = TrainingTab(gui, progress)
 

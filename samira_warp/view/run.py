@@ -43,11 +43,12 @@ def view(config: ViewConfig) -> None:
 
 def serve(config: ViewConfig, scene: Scene, *, port: int, ended: threading.Event) -> None:
     """Serve what is shown until an event; the place of viser's import, which takes a moment."""
-    from samira_warp.view.following import Follower
     from samira_warp.view.server import Server
 
     follower = None
     if config.run is not None:
+        from samira_warp.view.following import Follower
+
         follower = Follower(config.run, scene.shown.folder, device=scene.device)
     server = Server(scene, config, port=port, progress=None if follower is None else follower.progress)
     try:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 
-from samira_warp.avatar import Avatar, Rendering
+from samira_warp.avatar import Avatar, GBuffer, Rendering
+from samira_warp.avatar.gbuffer import blend_arrival
 from samira_warp.geometry.camera import Camera
 from samira_warp.head import FrameParameters
 from samira_warp.io.images import to_uint8
@@ -19,6 +20,7 @@ from samira_warp.stage.fitting import fitted
 from samira_warp.stage.layers import layer_image
 from samira_warp.stage.viewpoint import HeadPlace
 from samira_warp.support.tone_names import ToneMap
+from samira_warp.surface import LIGHT_CHANNELS
 from samira_warp.view.carried import Carrier
 from samira_warp.view.lights import Detail, Lights
 from samira_warp.view.posing import Poser
@@ -136,33 +138,43 @@ class Scene:
         camera = camera.to(avatar.canonical.vertices.device)
         posed = (avatar, state.pose)
         seen = (*posed, _key(camera), state.edits)
-        tone_map = self.tone_map(avatar, state)
         motion = stages.motion.get(posed, lambda: avatar.move(shown.parameters(state.pose)))
-        surface = stages.surface.get(seen, lambda: avatar.rasterize(motion, camera, edits=state.edits))
-        casts = self.casts_shadows(avatar, light)
-        behind_head = state.background == "env"
-        lit = self.lights.lit(avatar, light, detail=detail, seen=behind_head)
+        lit = self.lights.lit(avatar, light, detail=detail, seen=state.background == "env")
+        casts, tone_map = self.casts_shadows(avatar, light), self.tone_map(avatar, state)
+
+        def surface() -> GBuffer:
+            def rasterized(arrival: torch.Tensor | None = None) -> GBuffer:
+                return avatar.rasterize(motion, camera, edits=state.edits, arrival=arrival)
+
+            if not casts:
+                return unlit(stages.surface.get(seen, rasterized))
+            occlusion = stages.occlusion.get(posed, lambda: avatar.occluder.occlude(motion.head))
+            arrival = avatar.arrival(occlusion, lit.filtered, camera)
+            if stages.surface.holds(seen):
+                return blend_arrival(stages.surface.get(seen, rasterized), arrival)
+            # what arrives is blended with the rest, in one pass
+            return stages.surface.get(seen, lambda: rasterized(arrival))
+
+        turned = (*lit.key, light.rotate)
+        lit_surface = stages.lit.get((*seen, *turned, casts), surface)
+        background = Background(state.background, color_space=avatar.settings.color_space, tone_map=tone_map)
 
         def shaded() -> Rendering:
-            background = Background(
-                state.background, color_space=avatar.settings.color_space, tone_map=tone_map
-            )
-            backdrop = stages.backdrop.get((*lit.key, tone_map), lambda: background.seen_of(lit.environment))
+            exposed = (*lit.key, light.stops, tone_map)
+            backdrop = stages.backdrop.get(exposed, lambda: background.seen_of(lit.environment))
+            behind = background.behind(camera, backdrop, rotate=light.rotate)
             return avatar.shade(
-                motion,
-                surface,
-                camera,
-                lit.filtered,
-                background=background.behind(camera, backdrop, rotate=light.rotate),
-                occlusion=stages.occlusion.get(posed, lambda: avatar.occluder.occlude(motion.head))
-                if casts
-                else None,
-                tone_map=tone_map,
+                motion, lit_surface, camera, lit.filtered, background=behind, tone_map=tone_map
             )
 
-        return stages.rendering.get(
-            (*seen, *lit.key, light.rotate, casts, tone_map, state.background), shaded
-        )
+        key = (*seen, *turned, light.stops, casts, tone_map, state.background)
+        return stages.rendering.get(key, shaded)
+
+
+def unlit(surface: GBuffer) -> GBuffer:
+    """A G-buffer that says nothing of any light, whatever it was made with."""
+    neutral: dict[str, Any] = {name: torch.ones_like(getattr(surface, name)) for name in LIGHT_CHANNELS}
+    return replace(surface, **neutral)
 
 
 def split(left: np.ndarray, right: np.ndarray, *, at: float) -> np.ndarray:

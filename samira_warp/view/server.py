@@ -8,6 +8,7 @@ import math
 import threading
 import warnings
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import viser
@@ -16,16 +17,21 @@ from scipy.spatial.transform import Rotation
 from samira_warp.avatar import Avatar
 from samira_warp.support.errors import UserError
 from samira_warp.view.config import ViewConfig
-from samira_warp.view.following import Progress
 from samira_warp.view.look import Look
 from samira_warp.view.panel import Panel
-from samira_warp.view.scene import Scene
+from samira_warp.view.scene import Scene, Sides
 from samira_warp.view.session import Session
 from samira_warp.view.state import State
 from samira_warp.view.tabs.camera import UP
 from samira_warp.view.turns import Turns
 
+if TYPE_CHECKING:
+    from samira_warp.view.following import Progress
+
 TITLE = "samira_warp"
+
+WARM_SIDE = 64
+"""Pixels of the picture that is made before there is anybody to see it."""
 
 
 class Server:
@@ -57,6 +63,10 @@ class Server:
             self._stop_viser()
             raise UserError(f"{config.host}:{port}", expected="a port that is free here", found="one in use")
         self._set_up(start)
+        # kernels are loaded while the first browser loads the page
+        self._turns.between(
+            lambda: scene.picture(self._start, Sides.new(), width=WARM_SIDE, height=WARM_SIDE, detail="quick")
+        )
         self._turns.start()
         self._viser.on_client_connect(self._come)
         self._viser.on_client_disconnect(self._go)

@@ -1,4 +1,4 @@
-"""What is shown, from the options: the avatars, the frames that move them, and where a run keeps both."""
+"""What is shown, from the options: the avatars, and the frames that move them."""
 
 from __future__ import annotations
 
@@ -7,14 +7,8 @@ from pathlib import Path
 import torch
 
 from samira_warp.avatar import Avatar, DrivingFrame, read_frames
-from samira_warp.avatar.storage import TEMPLATE_FILE, find_avatar
-from samira_warp.data import open_sequence
-from samira_warp.io.files import read_json
-from samira_warp.render.config import RenderConfig
-from samira_warp.render.sources import select_frames
+from samira_warp.avatar.storage import find_avatar
 from samira_warp.support.errors import UserError
-from samira_warp.train.begun import AVATAR_FOLDER, CHECKPOINTS_FOLDER, CONFIG_FILE
-from samira_warp.train.checkpoint import last_checkpoint
 from samira_warp.view.carried import Carrier
 from samira_warp.view.config import ViewConfig
 from samira_warp.view.posing import Poser
@@ -27,7 +21,7 @@ def load_shown(config: ViewConfig, device: torch.device) -> Shown:
     Raises:
         UserError: It cannot be used, or the sequence cannot drive it.
     """
-    folder = find_avatar(config.avatar) if config.avatar is not None else newest_avatar(_run(config))
+    folder = _folder(config)
     avatar = Avatar.load(folder, device=device)
     frames = _frames(config, avatar, folder)
     if not frames:
@@ -46,49 +40,27 @@ def load_second(path: Path, first: Shown, device: torch.device) -> Shown:
     return Shown(avatar, folder, first.poser, Carrier.between(first.avatar, avatar, source=path))
 
 
-def newest_avatar(run: Path) -> Path:
-    """The folder of a run's avatar: the finished one, or its last checkpoint.
+def _folder(config: ViewConfig) -> Path:
+    """The avatar's folder. What trains is loaded only where a run is followed: the page opens sooner."""
+    if config.avatar is not None:
+        return find_avatar(config.avatar)
+    from samira_warp.view.runs import newest_avatar
 
-    Raises:
-        UserError: The run has neither yet.
-    """
-    if not (run / CONFIG_FILE).is_file():
-        raise UserError(run, expected="a run folder", found=f"no {CONFIG_FILE} in it")
-    if (run / AVATAR_FOLDER).is_dir():
-        return find_avatar(run / AVATAR_FOLDER)
-    checkpoints = run / CHECKPOINTS_FOLDER
-    if not any(checkpoints.glob("step_*")):
-        raise UserError(checkpoints, expected="a first checkpoint to show", found="none yet")
-    return last_checkpoint(checkpoints)
-
-
-def _run(config: ViewConfig) -> Path:
     assert config.run is not None
-    return config.run
+    return newest_avatar(config.run)
 
 
 def _frames(config: ViewConfig, avatar: Avatar, folder: Path) -> list[DrivingFrame]:
     """The frames that drive: another sequence's, the avatar's own, or those that a run is training on."""
     if config.data is not None:
+        from samira_warp.render.config import RenderConfig
+        from samira_warp.render.sources import select_frames
+
         asked = RenderConfig(avatar=folder, out=Path(), data=config.data, split=config.split)
         return select_frames(asked, avatar, folder)
-    if config.run is None or folder == config.run / AVATAR_FOLDER:
-        return read_frames(folder)
-    return _tracked(config.run, folder)
+    if config.run is not None:
+        from samira_warp.view.runs import is_finished, tracked_frames
 
-
-def _tracked(run: Path, checkpoint: Path) -> list[DrivingFrame]:
-    """The frames of a run's dataset as they were tracked: a checkpoint has none."""
-    path = run / CONFIG_FILE
-    settings = read_json(path).get("settings")
-    if not isinstance(settings, dict) or not {"data", "split"} <= set(settings):
-        raise UserError(path, expected="the settings of a run", found=type(settings).__name__)
-    sequence = open_sequence(
-        Path(settings["data"]), split=settings["split"], flame=checkpoint / TEMPLATE_FILE
-    )
-    parts = [(index, "test") for index in sequence.test] + [(index, "train") for index in sequence.train]
-    frames = sequence.frames
-    return [
-        DrivingFrame(frames[index].name, frames[index].parameters, frames[index].camera, part)
-        for index, part in parts
-    ]
+        if not is_finished(config.run, folder):
+            return tracked_frames(config.run, folder)
+    return read_frames(folder)

@@ -19,12 +19,16 @@ class Kept(Generic[Made]):
         self._key: Any = None
         self._made: Made | None = None
 
+    def holds(self, key: tuple[Any, ...]) -> bool:
+        """Whether the result of ``key`` is there."""
+        return self._made is not None and self._key == key
+
     def get(self, key: tuple[Any, ...], make: Callable[[], Made]) -> Made:
         """The result of ``key``: what is kept, or else what ``make`` gives, which is kept from now on.
 
         Nothing is kept of a ``make`` that fails.
         """
-        if self._made is None or self._key != key:
+        if self._made is None or not self.holds(key):
             self._key, self._made = None, None  # two results of one stage need not be held at once
             self._made = make()
             self._key = key
@@ -38,7 +42,8 @@ class Stages:
     Attributes:
         motion: The moved Gaussians, by avatar and pose.
         occlusion: Which directions the head blocks, likewise.
-        surface: The G-buffer, by these, the camera and the materials.
+        surface: A G-buffer, by these, the camera and the materials, under any light.
+        lit: The same under the light, by the light as it is turned, and whether it casts shadows.
         backdrop: What is seen of a light behind the head, by the light.
         rendering: The shaded picture, by all of these and the light.
     """
@@ -46,5 +51,6 @@ class Stages:
     motion: Kept[Motion] = field(default_factory=Kept)
     occlusion: Kept[Occlusion] = field(default_factory=Kept)
     surface: Kept[GBuffer] = field(default_factory=Kept)
+    lit: Kept[GBuffer] = field(default_factory=Kept)
     backdrop: Kept[RadianceMap | None] = field(default_factory=Kept)
     rendering: Kept[Rendering] = field(default_factory=Kept)

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import sys
 import threading
 import time
+import traceback
 from collections import deque
 from collections.abc import Callable
 
@@ -16,7 +18,7 @@ class Turns:
 
     def __init__(self) -> None:
         self._sessions: list[Session] = []
-        self._errands: deque[Callable[[], None]] = deque()
+        self._errands: deque[Callable[[], object]] = deque()
         self._changed = threading.Condition()
         self._ended = False
         self._thread = threading.Thread(target=self._serve, name="pictures", daemon=True)
@@ -47,7 +49,7 @@ class Turns:
         with self._changed:
             self._changed.notify()
 
-    def between(self, errand: Callable[[], None]) -> None:
+    def between(self, errand: Callable[[], object]) -> None:
         """Do something that no picture may be made during."""
         with self._changed:
             self._errands.append(errand)
@@ -66,9 +68,12 @@ class Turns:
             work = self._next()
             if work is None:
                 return
-            work()
+            try:
+                work()
+            except Exception:  # of an errand: browsers are served on
+                traceback.print_exc(file=sys.stderr)
 
-    def _next(self) -> Callable[[], None] | None:
+    def _next(self) -> Callable[[], object] | None:
         """Wait for an errand, or for the session whose turn it is; None at the end."""
         with self._changed:
             while not self._ended:

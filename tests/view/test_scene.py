@@ -109,6 +109,8 @@ CHANGES = {
     "turn": lambda s: replace(s, light=replace(s.light, rotate=90.0)),
     "stops": lambda s: replace(s, light=replace(s.light, stops=-1.0)),
     "shadows": lambda s: replace(s, light=replace(s.light, shadows=False)),
+    "turn without": lambda s: replace(s, light=replace(s.light, rotate=100.0)),
+    "shadows again": lambda s: replace(s, light=replace(s.light, shadows=True)),
     "lamp": lambda s: replace(s, light=replace(s.light, lamp=Lamp())),
     "lamp moved": lambda s: replace(s, light=replace(s.light, lamp=Lamp(azimuth=-60.0))),
     "materials": lambda s: replace(s, edits=(MaterialEdit(roughness="x0.5", albedo="x0.7"),)),
@@ -151,7 +153,7 @@ def test_another_size_is_another_picture(scene, start):
 def test_stages_that_nothing_touches_are_not_made_again(scene, start, monkeypatch):
     avatar, made = scene.shown.avatar, []
     real = avatar.occluder.occlude
-    for name in ("move", "rasterize", "shade"):
+    for name in ("move", "arrival", "rasterize", "shade"):
         method = getattr(avatar, name)
         monkeypatch.setattr(
             avatar, name, lambda *a, _name=name, _method=method, **k: made.append(_name) or _method(*a, **k)
@@ -165,12 +167,13 @@ def test_stages_that_nothing_touches_are_not_made_again(scene, start, monkeypatc
         return sorted(made)
 
     lit = replace(start, light=Light("day"))
-    assert after(lit) == ["move", "occlude", "rasterize", "shade"]
+    assert after(lit) == ["arrival", "move", "occlude", "rasterize", "shade"]
     assert after(lit) == []
     assert after(replace(lit, layer="normal")) == []
-    assert after(replace(lit, light=Light("day", rotate=5.0))) == ["shade"]
-    assert after(replace(lit, look=lit.look._replace(fov=30.0))) == ["rasterize", "shade"]
-    assert after(replace(lit, pose=Pose(1))) == ["move", "occlude", "rasterize", "shade"]
+    assert after(replace(lit, light=Light("day", stops=1.0))) == ["shade"]
+    assert after(replace(lit, light=Light("day", rotate=5.0))) == ["arrival", "shade"]
+    assert after(replace(lit, look=lit.look._replace(fov=30.0))) == ["arrival", "rasterize", "shade"]
+    assert after(replace(lit, pose=Pose(1))) == ["arrival", "move", "occlude", "rasterize", "shade"]
 
 
 def test_two_browsers_do_not_see_each_others_choices(scene, start, fresh):

@@ -14,7 +14,7 @@ from warm_start import warm_python
 from samira_warp.__main__ import main
 from samira_warp.avatar.storage import find_avatar
 from samira_warp.view.following import Follower, Progress
-from samira_warp.view.sources import newest_avatar
+from samira_warp.view.runs import newest_avatar
 
 
 def refused(capsys, *words):
