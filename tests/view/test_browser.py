@@ -226,3 +226,24 @@ def test_a_snapshot_is_downloaded_at_twice_the_size(opened, shown, tmp_path):
     height, width = picture.shape[:2]
     assert (width / 2, height / 2) in windows
     assert abs(middle(picture) - wanted(shown, session)).mean() < 1.0
+
+
+def test_the_sequence_plays_and_stays_where_it_is_stopped(opened, shown):
+    page, session = opened()
+    click_button(page, "Play")
+    played = set()
+
+    def has_played():
+        played.add(session.state.pose.frame)
+        return len(played) == len(shown.poser.frames)
+
+    until(has_played)
+    until(lambda: session.state.pose.frame != 0)
+    click_button(page, "Pause")
+    rest(session)
+    stopped = session.state.pose.frame
+    time.sleep(1.0)
+    assert session.state.pose.frame == stopped
+    assert_shows(page, shown, session)
+    name = shown.poser.frames[stopped].name
+    page.until(f"[...document.querySelectorAll('input')].some(input => input.value === {name!r})")
