@@ -14,6 +14,7 @@ VERBS = {
     "check": "say what a dataset holds and all that is wrong with it",
     "train": "train a relightable, animatable avatar from a tracked video",
     "render": "render an avatar, re-animated, relit, its materials changed",
+    "view": "look at an avatar in the browser: move it, light it, change it",
     "evaluate": "score images against a dataset",
     "export": "write an avatar for other programs",
     "ablate": "train the method without each of its parts, and compare",

@@ -22,6 +22,7 @@ WORKER = "PYTEST_XDIST_WORKER" in os.environ
 SUBJECT = Path(__file__).resolve().parents[2] / "shared" / "data" / "heads" / "ict_a"
 
 LONG_FILES = (
+    "test_browser.py",
     "test_own_tracker.py",
     "test_readme.py",
     "test_hard_films.py",

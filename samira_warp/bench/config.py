@@ -15,9 +15,10 @@ from samira_warp.support.device_names import DeviceName
 class BenchConfig:
     """Time a part of the package on this machine."""
 
-    what: Positional[Literal["raster", "mesh", "visibility", "light", "avatar", "train"]]
+    what: Positional[Literal["raster", "mesh", "visibility", "light", "avatar", "view", "train"]]
     """raster: kernels against plain ones or, on a GPU, gsplat; mesh: the rasteriser of meshes; visibility:
-    what a head blocks of its own directions; light: filtering; avatar: a frame, train: a step, by stage."""
+    what a head blocks of its own directions; light: filtering; avatar: a frame, train: a step, by stage;
+    view: a picture of the viewer."""
     device: DeviceName = "auto"
     """Where to compute: cpu, cuda, cuda:N, or auto, a GPU where there is one."""
     json: bool = False

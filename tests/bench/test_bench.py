@@ -5,7 +5,7 @@ from dataclasses import fields
 import pytest
 import torch
 
-from samira_warp.bench import avatar, embree_peer, gsplat_peer, mesh, raster, timing, visibility
+from samira_warp.bench import avatar, embree_peer, gsplat_peer, mesh, raster, timing, view, visibility
 from samira_warp.bench.disc import make_disc
 from samira_warp.bench.memory import peak_bytes
 from samira_warp.bench.subject import make_avatar, make_camera, make_parameters
@@ -156,6 +156,14 @@ def test_avatar_rows_time_only_what_is_not_cached(brief):
         # whole frames, timed once here: their stages and what is between them
         assert row["total_ms"] > sum(row[f"{stage}_ms"] for stage in avatar.STAGES[:-1])
         assert row["frames_per_second"] == pytest.approx(1e3 / row["total_ms"])
+
+
+def test_viewer_rows_are_of_all_that_can_be_moved(brief):
+    rows = view.measure(torch.device("cpu"), size=24)
+    assert [row["moves"] for row in rows] == list(view.MOVES)
+    assert all(row["picture_ms"] > 0 and row["jpeg_ms"] > 0 for row in rows)
+    for row in rows:
+        assert row["pictures_per_second"] == pytest.approx(1e3 / (row["picture_ms"] + row["jpeg_ms"]))
 
 
 def fake_gsplat(scene, calls):

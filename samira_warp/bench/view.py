@@ -1,0 +1,82 @@
+"""``bench view``: one picture of the viewer, for what a user moves, and its way to the browser."""
+
+from __future__ import annotations
+
+import io
+import json as json_format
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import torch
+from PIL import Image
+
+from samira_warp.avatar import DrivingFrame
+from samira_warp.bench import timing
+from samira_warp.bench.subject import make_avatar, make_camera, make_parameters
+from samira_warp.bench.timing import Stopwatch, hardware, print_table
+from samira_warp.view.lights import Lights
+from samira_warp.view.look import Look
+from samira_warp.view.posing import Poser
+from samira_warp.view.scene import Scene, Shown, Sides
+from samira_warp.view.session import QUICK_QUALITY
+from samira_warp.view.state import Lamp, Light, Pose, State
+
+SIZES = (256, 512)
+
+MOVES: dict[str, Callable[[State, int], State]] = {
+    "camera": lambda s, k: replace(s, look=s.look._replace(fov=s.look.fov * (1.0 + 0.01 * k))),
+    "light": lambda s, k: replace(s, light=replace(s.light, rotate=float(k))),
+    "exposure": lambda s, k: replace(s, light=replace(s.light, stops=0.05 * k)),
+    "lamp": lambda s, k: replace(s, light=replace(s.light, lamp=Lamp(azimuth=float(k)))),
+    "expression": lambda s, k: replace(s, pose=Pose(k)),
+}
+"""What a user moves, from picture to picture."""
+
+
+def measure(device: torch.device, *, size: int) -> list[dict[str, object]]:
+    """Median milliseconds of a picture of the cpu preset's avatar while something moves, a row for each.
+
+    It has 20,000 Gaussians, under one of the package's lights, with shadows; the viewer keeps what does not
+    change. The JPEG file is Pillow's, as viser makes it where there is no OpenCV.
+    """
+    avatar, camera = make_avatar("cpu", device=device), make_camera(size)
+    frames = [
+        DrivingFrame(f"{number:02d}", make_parameters(number), camera, "train")
+        for number in range(timing.WARM_UP + timing.REPEATS)
+    ]
+    shown = Shown(avatar, Path(), Poser(frames, avatar.canonical.template))
+    scene = Scene(shown, Lights(device=device))
+    start = State(Look.of(camera), light=Light(next(iter(scene.lights.paths))))
+    rows = []
+    for moved, move in MOVES.items():
+        stopwatch, sides = Stopwatch(device), Sides.new()
+        for number in range(timing.WARM_UP + timing.REPEATS):
+            state = move(start, number)
+            with stopwatch.stage("picture"):
+                picture = scene.picture(state, sides, width=size, height=size, detail="quick")
+            with stopwatch.stage("jpeg"):
+                Image.fromarray(picture).save(io.BytesIO(), "JPEG", quality=QUICK_QUALITY)
+        times = stopwatch.medians()
+        rows.append(
+            {
+                "size": size,
+                "gaussians": len(avatar.gaussians),
+                "moves": moved,
+                "picture_ms": times["picture"],
+                "jpeg_ms": times["jpeg"],
+                "pictures_per_second": 1e3 / (times["picture"] + times["jpeg"]),
+            }
+        )
+    return rows
+
+
+def main(device: str, json: bool) -> None:
+    """Measure at every size and print a table, or JSON rows."""
+    on = torch.device(device)
+    rows = [row for size in SIZES for row in measure(on, size=size)]
+    if json:
+        print(json_format.dumps([{**row, "hardware": hardware(on)} for row in rows]))
+        return
+    print(hardware(on))
+    print_table(rows)

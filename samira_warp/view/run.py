@@ -1,0 +1,78 @@
+"""The viewer from its options to its end."""
+
+from __future__ import annotations
+
+import importlib.util
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+from samira_warp.support.devices import pick_device
+from samira_warp.support.errors import UserError
+from samira_warp.view.config import ViewConfig
+from samira_warp.view.lights import Lights
+from samira_warp.view.ports import free_port
+from samira_warp.view.scene import Scene
+from samira_warp.view.sources import load_second, load_shown
+
+
+def view(config: ViewConfig) -> None:
+    """Serve the page until Ctrl-C or SIGTERM.
+
+    Everything is checked before the page opens.
+
+    Raises:
+        UserError: viser is not there, the port is in use, or an avatar, a sequence or a folder of maps cannot
+            be used.
+    """
+    config.check()
+    if importlib.util.find_spec("viser") is None:
+        wanted = "what serves the page (pip install 'samira-warp[view]')"
+        raise UserError("viser", expected=wanted, found="none")
+    port = free_port(config.host, config.port)
+    device = pick_device(config.device)
+    lights = Lights(config.envs, device=device)
+    shown = load_shown(config, device)
+    second = None if config.compare is None else load_second(config.compare, shown, device)
+    with told_to_end() as ended:
+        serve(config, Scene(shown, lights, second=second), port=port, ended=ended)
+
+
+def serve(config: ViewConfig, scene: Scene, *, port: int, ended: threading.Event) -> None:
+    """Serve what is shown until an event; the place of viser's import, which takes a moment."""
+    from samira_warp.view.server import Server
+
+    follower = None
+    if config.run is not None:
+        from samira_warp.view.following import Follower
+
+        follower = Follower(config.run, scene.shown.folder, device=scene.device)
+    server = Server(scene, config, port=port, progress=None if follower is None else follower.progress)
+    try:
+        print(f"{server.address} shows {scene.shown.folder}; Ctrl-C ends it", file=sys.stderr, flush=True)
+        if follower is not None:
+            follower.start(on_avatar=server.show_avatar, on_progress=server.show_progress)
+        ended.wait()
+    finally:
+        if follower is not None:
+            follower.end()
+        server.end()
+
+
+@contextmanager
+def told_to_end() -> Iterator[threading.Event]:
+    """An event that Ctrl-C and SIGTERM set, in place of what they do otherwise."""
+    ended = threading.Event()
+
+    def end(_number: int, _frame: FrameType | None) -> None:
+        ended.set()
+
+    before = {number: signal.signal(number, end) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield ended
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -1,0 +1,1 @@
+"""The tabs of the panel, each for one kind of choice."""
