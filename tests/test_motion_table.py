@@ -45,6 +45,8 @@ def test_shares_of_a_motion_have_their_closed_form(tool, generator):
     assert half["residual, mm"] == pytest.approx(0.5 * half["true, mm"])
     nothing = tool.agreement(truth, torch.zeros_like(truth))
     assert (nothing["recovered, %"], nothing["correlation"]) == (0.0, 0.0)
+    upward = tool.agreement(truth, truth * torch.tensor([0.0, 1.0, 0.0]))
+    assert (upward["sideways, %"], upward["upward, %"]) == (0.0, 100.0)
     wrong = tool.agreement(truth, -truth)
     assert wrong["recovered, %"] == pytest.approx(-300.0, abs=1e-3)
 

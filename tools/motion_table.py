@@ -5,8 +5,9 @@ usage: python tools/motion_table.py --avatar DIR [--avatar DIR ...] --data DIR [
 The dataset brings gt/hidden_motion.npz (tools/make_subject.py --hidden-motion). Motion is compared in the
 head's axes, on every texel that faces the camera in a test frame and really moves, less its mean over the
 training frames, which Gaussians take up by where they rest. Recovered is the share of the true energy
-that the residual leaves no error in: 1 where it is the truth, 0 where it is nothing. Moving pixels are those
-that show a triangle which is off by MOVING in that frame.
+that the residual leaves no error in: 100 where it is the truth, 0 where it is nothing; the same of its parts
+sideways and upward, for what moves sideways in proportion to the head's yaw looks to one camera as if it lay
+deeper. Moving pixels are those that show a triangle which is off by MOVING in that frame.
 """
 
 from __future__ import annotations
@@ -131,8 +132,9 @@ def region_rows(avatar: Avatar, train: Tracks, test: Tracks) -> list[dict[str, s
 
 
 def agreement(truth: Tensor, residual: Tensor) -> dict[str, str | float]:
-    """Lengths in millimetres (root mean square), recovered share and correlation of (S, 3) motions."""
-    energy = truth.square().sum()
+    """Lengths in millimetres (root mean square), recovered shares and correlation of (S, 3) motions."""
+    energy, left = truth.square().sum(dim=0), (residual - truth).square().sum(dim=0)
+    shares = 100.0 * (1.0 - left / energy.clamp(min=1e-12))
     lengths = {
         "true, mm": truth,
         "residual, mm": residual,
@@ -140,9 +142,11 @@ def agreement(truth: Tensor, residual: Tensor) -> dict[str, str | float]:
     }
     return {
         **{name: 1e3 * float(values.square().sum(dim=-1).mean().sqrt()) for name, values in lengths.items()},
-        "recovered, %": 100.0 * float(1.0 - (residual - truth).square().sum() / energy),
+        "recovered, %": 100.0 * float(1.0 - left.sum() / energy.sum()),
+        "sideways, %": float(shares[0]),
+        "upward, %": float(shares[1]),
         "correlation": float(
-            (residual * truth).sum() / (energy * residual.square().sum()).sqrt().clamp(min=1e-12)
+            (residual * truth).sum() / (energy.sum() * residual.square().sum()).sqrt().clamp(min=1e-12)
         ),
     }
 
