@@ -47,6 +47,8 @@ def test_shares_of_a_motion_have_their_closed_form(tool, generator):
     assert (nothing["recovered, %"], nothing["correlation"]) == (0.0, 0.0)
     upward = tool.agreement(truth, truth * torch.tensor([0.0, 1.0, 0.0]))
     assert (upward["sideways, %"], upward["upward, %"]) == (0.0, 100.0)
+    flat = tool.agreement(truth * torch.tensor([0.0, 1.0, 1.0]), truth)
+    assert (flat["sideways, %"], flat["upward, %"]) == ("none", 100.0)
     wrong = tool.agreement(truth, -truth)
     assert wrong["recovered, %"] == pytest.approx(-300.0, abs=1e-3)
 

@@ -38,6 +38,9 @@ MOVING = 2e-4
 """Metres, a sixth of a pixel of the built-in subject: root mean square over the test frames of a texel that
 moves, and of a triangle in the frame that is scored."""
 
+LEAST_SHARE = 0.01
+"""Of a motion's energy: along an axis that has less there is no motion to recover."""
+
 FACING = 0.2
 """Cosine between a texel's normal and the way to the camera above which the camera sees how it moves."""
 
@@ -134,7 +137,10 @@ def region_rows(avatar: Avatar, train: Tracks, test: Tracks) -> list[dict[str, s
 def agreement(truth: Tensor, residual: Tensor) -> dict[str, str | float]:
     """Lengths in millimetres (root mean square), recovered shares and correlation of (S, 3) motions."""
     energy, left = truth.square().sum(dim=0), (residual - truth).square().sum(dim=0)
-    shares = 100.0 * (1.0 - left / energy.clamp(min=1e-12))
+    shares = [
+        100.0 * float(1.0 - rest / part) if part > LEAST_SHARE * energy.sum() else "none"
+        for part, rest in zip(energy, left, strict=True)
+    ]
     lengths = {
         "true, mm": truth,
         "residual, mm": residual,
@@ -143,8 +149,8 @@ def agreement(truth: Tensor, residual: Tensor) -> dict[str, str | float]:
     return {
         **{name: 1e3 * float(values.square().sum(dim=-1).mean().sqrt()) for name, values in lengths.items()},
         "recovered, %": 100.0 * float(1.0 - left.sum() / energy.sum()),
-        "sideways, %": float(shares[0]),
-        "upward, %": float(shares[1]),
+        "sideways, %": shares[0],
+        "upward, %": shares[1],
         "correlation": float(
             (residual * truth).sum() / (energy.sum() * residual.square().sum()).sqrt().clamp(min=1e-12)
         ),
