@@ -26,6 +26,8 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 NOT_RUN = {
     "pip install -c constraints.txt -e '.[test]' && python -m pytest": "it runs this test",
     "pip install -c constraints.txt -e '.[track]'": "a test does not change its environment",
+    "pip install -c constraints.txt -e '.[view]'": "a test does not change its environment",
+    "samira-warp view --avatar runs/built_in": "it serves until it is stopped; tests/view runs it",
     "samira-warp train --data VIDEO": "tests/train/test_train_video.py runs it, prepared by a stand-in",
     "samira-warp prepare VIDEO --out DIR": "tests/prepare runs it, with stand-ins for what it calls",
 }

@@ -26,7 +26,8 @@ from samira_warp.avatar import Avatar, conditions_of
 from samira_warp.avatar.avatar import DISPLACEMENT_UNIT
 from samira_warp.avatar.residual import POSITION_LIMIT, limit_residual
 from samira_warp.data import PixelCache, TrackedSequence, open_sequence
-from samira_warp.nets import RESIDUAL_CHANNELS, Conditions
+from samira_warp.nets import Conditions
+from samira_warp.nets.motion import RESIDUAL_CHANNELS
 from samira_warp.support.cli import run
 from samira_warp.train.config import Ablation, TrainConfig
 from samira_warp.train.optimizer import ADAM_EPSILON

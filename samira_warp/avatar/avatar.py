@@ -36,7 +36,8 @@ from samira_warp.light import (
     shade,
     to_display,
 )
-from samira_warp.nets import RESIDUAL_CHANNELS, Conditions, ConditionStatistics, MotionNetwork
+from samira_warp.nets import Conditions, ConditionStatistics, MotionNetwork
+from samira_warp.nets.motion import RESIDUAL_CHANNELS
 from samira_warp.support.errors import UserError
 from samira_warp.support.tone_names import ToneMap
 from samira_warp.surface import Surface

@@ -4,10 +4,9 @@ from samira_warp.nets.conditioning import AdaptiveInstanceNorm, Conditions, Cond
 from samira_warp.nets.encoder import encode_reference
 from samira_warp.nets.fourier import fourier_features
 from samira_warp.nets.modulation import RegionModulators
-from samira_warp.nets.motion import RESIDUAL_CHANNELS, MotionNetwork, MotionSettings
+from samira_warp.nets.motion import MotionNetwork, MotionSettings
 
 __all__ = [
-    "RESIDUAL_CHANNELS",
     "AdaptiveInstanceNorm",
     "ConditionStatistics",
     "Conditions",

@@ -462,4 +462,5 @@ def test_a_large_map_needs_little_more_memory_than_it_has_pixels(tmp_path):
     done = subprocess.run([sys.executable, "-c", LOADED, path], capture_output=True, text=True, check=True)
     loaded, shown = (int(peak) / (4 * 3 * height * width) for peak in done.stdout.split())
     assert 1.0 < loaded < 1.7
-    assert 2.0 < shown < 2.7
+    # blocks that several threads hold at a time, and no third copy of the whole
+    assert 2.0 < shown < 3.0

@@ -351,7 +351,7 @@ def tool(monkeypatch):
     """The tool, which makes the stand-in with few rays in a few pictures."""
     monkeypatch.syspath_prepend(TESTS.parent / "tools")
     module = importlib.import_module("make_subject")
-    monkeypatch.setattr(module, "build_cast", lambda seed, texels: stand_in())
+    monkeypatch.setattr(module, "build_cast", lambda seed, texels, hidden: stand_in())
     plan = module.SubjectPlan
     monkeypatch.setattr(
         module, "SubjectPlan", lambda *numbers, **more: plan(*numbers, **more, effort=PLAN.effort)

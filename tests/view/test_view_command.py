@@ -13,6 +13,7 @@ from warm_start import warm_python
 
 from samira_warp.__main__ import main
 from samira_warp.avatar.storage import find_avatar
+from samira_warp.avatar.storage.older import READABLE
 from samira_warp.view.following import Follower, Progress
 from samira_warp.view.runs import newest_avatar
 
@@ -59,7 +60,8 @@ def test_an_avatar_of_another_version_says_which_are_read(capsys, tiny_run, tmp_
     description = json.loads((copy / "avatar.json").read_text())
     (copy / "avatar.json").write_text(json.dumps({**description, "format": 99}))
     line = refused(capsys, "--avatar", copy, "--port", 0)
-    assert "expected an avatar of format 1 to 5, found format 99, which a newer version" in line
+    read = f"an avatar of format {READABLE[0]} to {READABLE[-1]}"
+    assert f"expected {read}, found format 99, which a newer version" in line
 
 
 def test_a_port_in_use(capsys):
