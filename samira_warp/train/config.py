@@ -23,7 +23,6 @@ Ablation = Literal[
     "no-mask",
     "no-visibility",
     "no-wrinkles",
-    "no-jitter",
 ]
 
 PresetName = Literal["cpu", "paper"]
@@ -124,6 +123,9 @@ class TrainConfig:
     """Shade in linear light and encode to sRGB, or shade directly in image values; default srgb."""
     tie_light: Asked[bool] = None
     """Learn one light for diffuse and specular shading, as a real light is; default one for each."""
+    jitter: Asked[bool] = None
+    """Let the motion network see each frame with another draw of the tracker's noise at every step, as large
+    as the trajectory shows it; default not."""
     encoder: Asked[str] = None
     """Image encoder of the reference image: a hub id, a local folder, or random; default
     microsoft/resnet-18."""

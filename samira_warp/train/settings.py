@@ -51,6 +51,7 @@ class Settings:
     lpips_weights: Path | None = None
     color_space: Literal["srgb", "raw"] = "srgb"
     tie_light: bool = False
+    jitter: bool = False
     encoder: str = "microsoft/resnet-18"
     reference: Literal["uv", "screen"] = "uv"
     displacement: Literal["head", "world"] = "head"

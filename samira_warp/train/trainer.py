@@ -178,7 +178,7 @@ class Trainer:
 
     def _seen(self, parameters: FrameParameters) -> FrameParameters | None:
         """What the motion network sees of a frame at this step: another draw of the tracker's noise."""
-        if not self.avatar.settings.residual or "no-jitter" in self.settings.ablate:
+        if not (self.settings.jitter and self.avatar.settings.residual):
             return None
         generator = torch.Generator().manual_seed(self.settings.seed * 1_000_003 + self.step + JITTER_STREAM)
         return jittered(parameters, self.noise, generator=generator)

@@ -32,7 +32,7 @@ def run(data, folder, *options, steps=3):
 
 
 def test_every_name_is_covered_by_a_test():
-    elsewhere = {"no-two-stage", "no-normal-prior", "no-albedo", "no-mask", "no-jitter"}
+    elsewhere = {"no-two-stage", "no-normal-prior", "no-albedo", "no-mask"}
     assert set(SETTINGS) | elsewhere == set(get_args(Ablation))
 
 
