@@ -174,14 +174,10 @@ class Avatar(nn.Module):
         if not self.settings.residual:
             nothing = torch.zeros_like(self.canonical.positions)
             return Motion(head, self._bound(frames, normals), nothing, nothing, nothing[..., :2], normals)
-        seen_head = head if seen is None else self.canonical.pose(seen)
-        conditions = self.statistics(conditions_of(parameters if seen is None else seen))
-        displacement = (
-            self.canonical.displacement(seen_head, in_head=self.settings.displacement_frame == "head")
-            / DISPLACEMENT_UNIT
-        )
-        residual = self.motion(displacement.permute(2, 0, 1), conditions)
-        residual = self.canonical.atlas.dilate(residual.permute(1, 2, 0))
+        if seen is None:
+            residual = self._residual(head, parameters)
+        else:
+            residual = self._residual(self.canonical.pose(seen), seen)
         sampled = gather(residual.reshape(-1, residual.shape[-1]), self.uv_samples)
         position, rotation = limit_residual(sampled[:, :RESIDUAL_CHANNELS])
         slopes = torch.zeros_like(residual[..., :2])
@@ -197,6 +193,16 @@ class Avatar(nn.Module):
             quaternions=quaternion_product(axis_angle_to_quaternion(rotation), bound.quaternions),
         )
         return Motion(head, refined, *limit_residual(residual[..., :RESIDUAL_CHANNELS]), slopes, normals)
+
+    def _residual(self, head: PosedHead, parameters: FrameParameters) -> torch.Tensor:
+        """(H, W, C) what the network says of a frame, before limits (Eqs. uv_displacement to dynamic_map).
+
+        Position and rotation come first, then the wrinkles' slopes.
+        """
+        in_head = self.settings.displacement_frame == "head"
+        displacement = self.canonical.displacement(head, in_head=in_head) / DISPLACEMENT_UNIT
+        residual = self.motion(displacement.permute(2, 0, 1), self.statistics(conditions_of(parameters)))
+        return self.canonical.atlas.dilate(residual.permute(1, 2, 0))
 
     def _bound(self, frames: TriangleFrames, normals: torch.Tensor) -> BoundGaussians:
         """The Gaussians on their triangles, smoothed, with (N, 3) canonical normals."""

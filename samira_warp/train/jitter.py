@@ -37,7 +37,8 @@ def tracking_noise(tracked: FrameParameters, timesteps: Sequence[int]) -> dict[s
     """
     moments = np.asarray(timesteps)
     order = np.argsort(moments, kind="stable")
-    inner = np.flatnonzero(np.diff(moments[order], n=1)[:-1] * np.diff(moments[order], n=1)[1:] == 1) + 1
+    steps = np.diff(moments[order])
+    inner = np.flatnonzero((steps[:-1] == 1) & (steps[1:] == 1)) + 1
     noise = {}
     for name in TRACKED:
         values = getattr(tracked, name)[torch.from_numpy(order).to(tracked.translation.device)]
