@@ -2,7 +2,9 @@
 
 Nothing of it is in the tracks: whoever models the head from them has to learn it from the pictures, even what
 shapes of the template could make together. A cheek bulges when it smiles, lips press thinner than their
-shapes make them, the fold of an eyelid sinks when it closes, hair and collar stay behind when the head turns.
+shapes make them, the fold of an eyelid sinks when it closes, hair and collar give way when the head tilts or
+nods. They do not when it turns from side to side: what goes sideways in proportion to the yaw looks to one
+camera as if it lay deeper and did not move.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ import torch
 from scipy.sparse import coo_array, diags_array
 from torch import Tensor
 
-from samira_subject.performance import PITCH, YAW
+from samira_subject.performance import PITCH, ROLL
 from samira_warp.geometry.mesh import vertex_normals
 from samira_warp.head import FrameParameters, HeadTemplate, PosedHead
 
@@ -35,11 +37,14 @@ LIPS_THINNER, LIPS_INWARD = 0.6, 3e-3
 FOLD_SINKS, FOLD_RADIUS, FOLD_ABOVE = 3e-3, 0.008, 0.013
 """Metres down that the fold of a closing lid sinks, about how wide, and how far above the eye's middle."""
 
-HAIR_LAGS, HAIR_HEIGHT = 8e-3, 0.06
-"""Metres at the crown at the farthest turn, and the height over which this rises from nothing."""
+HAIR_GIVES, HAIR_HEIGHT = 8e-3, 0.06
+"""Metres at the crown at the farthest tilt or nod, and the height over which this rises from nothing."""
 
-COLLAR_LAGS, COLLAR_HEIGHT = 6e-3, 0.05
-"""Metres at the neck's end at the farthest turn, and the height over which this falls to nothing."""
+COLLAR_GIVES, COLLAR_HEIGHT = 6e-3, 0.05
+"""Metres at the neck's end at the farthest tilt or nod, and the height over which this falls to nothing."""
+
+STILL = (0.0, 0.0, 0.0)
+"""Weights of the head's pitch, yaw and roll for what does not come with them."""
 
 SMILE, PRESS, BLINK = "mouthSmile", "mouthPress", "eyeBlink"
 """The shapes, one a side, that it comes with."""
@@ -54,7 +59,7 @@ class HiddenMotion:
         directions: (P, V, 3) float32 displacement at a strength of 1, metres, in the axes of the head.
         expression: (P, E) float32 weights whose product with an expression, squared, is a strength: it comes
             late and then fast, as no linear shape does.
-        turn: (P, 2) float32 weights of the yaw and the pitch in radians, whose sum is added to it.
+        turn: (P, 3) float32 weights of the head's pitch, yaw and roll in radians, whose sum is added to it.
     """
 
     parts: tuple[str, ...]
@@ -64,7 +69,7 @@ class HiddenMotion:
 
     def strengths(self, parameters: FrameParameters) -> Tensor:
         """(P,) how far each part goes in a frame."""
-        turned = (parameters.rotations[0] + parameters.rotations[1])[[1, 0]]
+        turned = parameters.rotations[0] + parameters.rotations[1]
         return (self.expression @ parameters.expression).square() + self.turn @ turned
 
     def displacement(self, parameters: FrameParameters) -> Tensor:
@@ -82,19 +87,19 @@ def hidden_motion(template: HeadTemplate) -> HiddenMotion:
     normals = vertex_normals(torch.from_numpy(rest), torch.from_numpy(template.faces)).numpy()
     names = template.expression_names
     soften = _softener(template)
-    parts: dict[str, tuple[np.ndarray, dict[str, float], tuple[float, float]]] = {}
+    parts: dict[str, tuple[np.ndarray, dict[str, float], tuple[float, float, float]]] = {}
     for side, sign in (("L", 1.0), ("R", -1.0)):
-        parts[f"cheek_{side}"] = (_cheek(template, rest, normals, sign), {f"{SMILE}_{side}": 1.0}, (0.0, 0.0))
-        parts[f"fold_{side}"] = (_fold(template, rest, side), {f"{BLINK}_{side}": 1.0}, (0.0, 0.0))
+        parts[f"cheek_{side}"] = (_cheek(template, rest, normals, sign), {f"{SMILE}_{side}": 1.0}, STILL)
+        parts[f"fold_{side}"] = (_fold(template, rest, side), {f"{BLINK}_{side}": 1.0}, STILL)
     both = {f"{PRESS}_L": 0.5, f"{PRESS}_R": 0.5}
-    parts["lips"] = (_lips(template, rest), both, (0.0, 0.0))
+    parts["lips"] = (_lips(template, rest), both, STILL)
     for name, weight, amount in (
-        ("hair", _hair(template, rest), HAIR_LAGS),
-        ("collar", _collar(template, rest), COLLAR_LAGS),
+        ("hair", _hair(template, rest), HAIR_GIVES),
+        ("collar", _collar(template, rest), COLLAR_GIVES),
     ):
-        # to the right when the head turns to the left, and up when it nods
-        parts[f"{name}_sideways"] = (-amount * weight * _axis(0), {}, (1.0 / YAW, 0.0))
-        parts[f"{name}_upward"] = (amount * weight * _axis(1), {}, (0.0, 1.0 / PITCH))
+        # to the side that the head tilts to, and up when it nods
+        parts[f"{name}_sideways"] = (-amount * weight * _axis(0), {}, (0.0, 0.0, 1.0 / ROLL))
+        parts[f"{name}_upward"] = (amount * weight * _axis(1), {}, (1.0 / PITCH, 0.0, 0.0))
     weights = np.zeros((len(parts), len(names)))
     for part, (_, shapes, _) in enumerate(parts.values()):
         for shape, value in shapes.items():

@@ -16,6 +16,7 @@ from samira_subject.paint.hair import brow_share, scalp_share, with_brows, with_
 from samira_subject.paint.layer import Paint
 from samira_subject.paint.look import Look, look_of
 from samira_subject.paint.organs import eye_paint, mouth_paint, teeth_paint, tongue_paint
+from samira_subject.paint.patches import with_patches
 from samira_subject.paint.skin import (
     skin_paint,
     with_beard,
@@ -74,18 +75,21 @@ class Materials:
         return slopes
 
 
-def paint(head: SubjectHead, *, seed: int, size: int) -> Materials:
+def paint(head: SubjectHead, *, seed: int, size: int, patches: bool = False) -> Materials:
     """Paint a head.
 
     Args:
         head: The head.
         seed: Whose colours.
         size: S, width and height of the maps.
+        patches: Show how hair and collar move (`samira_subject.paint.patches`).
     """
     texels = Texels.build(head.anatomy, size=size)
     look = look_of(seed)
     hair, brows = scalp_share(texels, seed=seed), brow_share(texels, seed=seed)
     surface = _surface(texels, look, hair, brows, seed=seed)
+    if patches:
+        surface = with_patches(surface, texels, hair, seed=seed)
     slopes = Slopes(texels, _chart_gradients(head.anatomy, texels.face))
     resting = slopes.of(resting_heights(texels, hair=hair, brows=brows, seed=seed))
     finish = np.stack([surface.roughness, surface.specular, surface.scatter], axis=1)
