@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor, nn
+
+TAPS = 9
+"""Texels of a 3x3 neighbourhood, row by row."""
 
 
 class RegionModulators(nn.Module):
@@ -12,6 +17,10 @@ class RegionModulators(nn.Module):
     phi_k is a linear 1x1 projection, a 3x3 convolution, an activation and a 1x1 convolution, with one group a
     region. The projection has no bias, so projecting and then masking equals masking and then projecting, F *
     S_k, without a copy of the input for every region.
+
+    Masks are disjoint, so of all that grouped convolutions make of the whole atlas one region in K is kept at
+    each texel. On a CPU, where arithmetic is dear, every texel meets its own region's modulator alone; on a
+    GPU, where launches are dear, all regions are convolved at once.
     """
 
     masks: Tensor
@@ -31,6 +40,7 @@ class RegionModulators(nn.Module):
         groups = 1 if shared else self.regions
         self.shared = shared
         self.register_buffer("masks", masks[None, :, None], persistent=False)
+        self._order: tuple[Tensor, _TexelOrder] | None = None
         self.project = nn.Conv2d(in_channels, groups * channels, 1, bias=False)
         self.mix = nn.Conv2d(groups * channels, groups * channels, 3, padding=1, groups=groups)
         self.out = nn.Conv2d(groups * channels, groups * channels, 1, groups=groups)
@@ -40,16 +50,86 @@ class RegionModulators(nn.Module):
 
     def forward(self, features: Tensor) -> Tensor:
         """F_sem (1, C, H, W) of [F_sh, F_d] (1, C_in, H, W)."""
-        height, width = features.shape[-2:]
-        projected = self.project(features).view(
-            1, -1, self.mix.out_channels // self.mix.groups, height, width
-        )
-        masked = projected * self.masks
         if self.shared:
-            modulated = self.out(nn.functional.silu(self.mix(masked[0])))[None]
+            modulated = self._with_one(features)
+        elif features.device.type == "cpu":
+            modulated = self._each_its_own(features)
         else:
-            modulated = self.out(nn.functional.silu(self.mix(masked.flatten(1, 2)))).view_as(masked)
-        return nn.functional.silu(self.blend(self.smooth((modulated * self.masks).sum(dim=1))))
+            modulated = self._at_once(features)
+        return nn.functional.silu(self.blend(self.smooth(modulated)))
+
+    def _with_one(self, features: Tensor) -> Tensor:
+        """The sum over regions of F_k, all of one modulator's."""
+        masked = self.project(features) * self.masks[0]
+        return (self.out(nn.functional.silu(self.mix(masked))) * self.masks[0]).sum(dim=0, keepdim=True)
+
+    def _at_once(self, features: Tensor) -> Tensor:
+        """The sum over regions of F_k, by grouped convolutions over the whole atlas."""
+        projected = self.project(features).unflatten(1, (self.regions, -1))
+        masked = projected * self.masks
+        modulated = self.out(nn.functional.silu(self.mix(masked.flatten(1, 2)))).view_as(masked)
+        return (modulated * self.masks).sum(dim=1)
+
+    def _each_its_own(self, features: Tensor) -> Tensor:
+        """The sum over regions of F_k, every texel by its own region's matrices."""
+        order = self._texels_by_region()
+        count, channels = self.regions, self.out.out_channels // self.regions
+        project = self.project.weight.view(count, channels, -1)
+        # patches are tap by tap, a convolution's weights channel by channel
+        mix = self.mix.weight.view(count, channels, channels, TAPS).transpose(2, 3).flatten(2)
+        mix_bias, out_bias = self.mix.bias.view(count, -1), self.out.bias.view(count, -1)
+        out = self.out.weight.view(count, channels, channels)
+        texels = features[0].flatten(1).T.index_select(0, order.texels).split(order.counts)
+        own = torch.cat([rows @ w.T for rows, w in zip(texels, project, strict=True)])
+        beyond = features.new_zeros(1, channels)
+        around = torch.cat([own, beyond]).index_select(0, order.neighbours)
+        around = around.view(-1, TAPS * channels).split(order.counts)
+        mixed = [torch.addmm(b, rows, w.T) for rows, w, b in zip(around, mix, mix_bias, strict=True)]
+        active = nn.functional.silu(torch.cat(mixed)).split(order.counts)
+        made = [torch.addmm(b, rows, w.T) for rows, w, b in zip(active, out, out_bias, strict=True)]
+        whole = torch.cat([*made, beyond]).index_select(0, order.places)
+        return whole.T.reshape(1, channels, *features.shape[-2:])
+
+    def _texels_by_region(self) -> _TexelOrder:
+        """Found again when the masks have been replaced."""
+        if self._order is None or self._order[0] is not self.masks:
+            self._order = self.masks, _TexelOrder.of(self.masks[0, :, 0])
+        return self._order[1]
+
+
+class _TexelOrder(NamedTuple):
+    """The M texels that lie in a region, region by region.
+
+    Attributes:
+        texels: (M,) int64 their numbers in the map.
+        counts: How many each region has.
+        neighbours: (M TAPS,) int64 places in this order of those around each texel, itself among them; M for
+            one that is not in its region.
+        places: (H W,) int64 place of each of the map's texels in this order; M for one in no region.
+    """
+
+    texels: Tensor
+    counts: list[int]
+    neighbours: Tensor
+    places: Tensor
+
+    @classmethod
+    def of(cls, masks: Tensor) -> _TexelOrder:
+        """Sort by (K, H, W) disjoint masks."""
+        height, width = masks.shape[1:]
+        regions = torch.where(masks.any(dim=0), masks.argmax(dim=0), -1)
+        texels = torch.cat([(regions == region).flatten().nonzero()[:, 0] for region in range(len(masks))])
+        counts = [int((regions == region).sum()) for region in range(len(masks))]
+        places = torch.full((height * width,), len(texels), device=masks.device)
+        places[texels] = torch.arange(len(texels), device=masks.device)
+        # beyond the map's edge no texel is in any region
+        known = torch.stack([places.view(height, width), regions])
+        edged = torch.nn.functional.pad(known, (1, 1, 1, 1), value=-1)
+        around = torch.stack(
+            [edged[:, y : y + height, x : x + width] for y in range(3) for x in range(3)], dim=-1
+        )
+        neighbours = torch.where(around[1] == regions[..., None], around[0], len(texels))
+        return cls(texels, counts, neighbours.flatten(0, 1)[texels].flatten(), places)
 
 
 def _start_as_binomial(convolution: nn.Conv2d) -> None:

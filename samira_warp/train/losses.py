@@ -6,20 +6,17 @@ from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-import kornia
 import torch
 
 from samira_warp.avatar import Avatar, Motion, Rendering
 from samira_warp.avatar.residual import POSITION_LIMIT
+from samira_warp.kernels.image.structural_similarity import structural_similarity
 from samira_warp.kernels.mesh.triangle_frames import triangle_frames
 from samira_warp.light import decode_srgb
 from samira_warp.train.config import Ablation
 from samira_warp.train.materials import MaterialPrior, material_prior, material_terms
 from samira_warp.train.neighbours import Neighbourhood, neighbourhood
 from samira_warp.train.skin import mean_skin, skin_prior
-
-SSIM_WINDOW = 11
-"""Pixels; Gaussian with sigma 1.5 (3DGS)."""
 
 SURFACE_ALPHA = 0.5
 """Neighbouring pixels both covered more than this make a pair of the smoothness term."""
@@ -146,10 +143,10 @@ def total_loss(
         stage_two: Normal and response terms are on.
         perceptual: LPIPS of two (H, W, 3) display images, or None when it is off.
     """
-    prediction, truth = (image.permute(2, 0, 1)[None] for image in (rendering.image, target.image))
+    prediction, truth = rendering.image, target.image
     terms = {
         "l1": (1.0 - weights.ssim) * (prediction - truth).abs().mean(),
-        "ssim": weights.ssim * (1.0 - kornia.metrics.ssim(prediction, truth, SSIM_WINDOW).mean()),
+        "ssim": weights.ssim * (1.0 - structural_similarity(prediction, truth)),
     }
     if target.mask is not None:
         terms["mask"] = weights.mask * (rendering.gbuffer.alpha[..., 0] - target.mask).abs().mean()
@@ -158,7 +155,7 @@ def total_loss(
     if avatar.settings.residual and avatar.settings.motion.wrinkles and stage_two:
         terms["wrinkles"] = weights.wrinkles * slopes_prior(rendering.motion, avatar.canonical.atlas.valid)
     if perceptual is not None:
-        terms["lpips"] = weights.lpips * perceptual(rendering.image, target.image)
+        terms["lpips"] = weights.lpips * perceptual(prediction, truth)
     if target.albedo is not None and target.mask is not None:
         terms["albedo"] = weights.albedo * albedo_loss(rendering.gbuffer.albedo, target.albedo, target.mask)
     if known.skin is not None:

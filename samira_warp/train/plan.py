@@ -7,10 +7,10 @@ from pathlib import Path
 
 from samira_warp.data import TrackedSequence
 from samira_warp.data.pixels import unmatted_albedos
+from samira_warp.kernels.image.structural_similarity import WINDOW
 from samira_warp.support.errors import UserError
 from samira_warp.train.begun import Begun
 from samira_warp.train.config import TrainConfig
-from samira_warp.train.losses import SSIM_WINDOW
 from samira_warp.train.schedule import Schedule
 from samira_warp.train.settings import LENGTH, Settings, option
 
@@ -76,8 +76,8 @@ def check_size(size: tuple[int, int], *, resolution: int) -> None:
         size: Width and height, pixels.
         resolution: What was asked for.
     """
-    if min(size) < SSIM_WINDOW:
-        expected = f"images of at least {SSIM_WINDOW} pixels a side"
+    if min(size) < WINDOW:
+        expected = f"images of at least {WINDOW} pixels a side"
         raise UserError(f"--resolution {resolution}", expected=expected, found=f"{size[0]} x {size[1]}")
 
 

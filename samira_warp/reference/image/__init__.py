@@ -1,0 +1,1 @@
+"""Measures of a picture beside another, in plain torch."""
