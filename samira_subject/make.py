@@ -97,7 +97,9 @@ class _Maker:
         self._studio = Studio(cast, size=plan.size, effort=plan.effort)
         self._lights = dict(zip(plan.lights, lights, strict=True))
         names = cast.template.expression_names
-        self._performance = perform(names, train=plan.train, test=plan.test, seed=plan.seed)
+        self._performance = perform(
+            names, train=plan.train, test=plan.test, seed=plan.seed, quick_tilts=plan.hidden
+        )
         self._held = held_poses(self._performance, names)
 
     def make(self, takes: Sequence[Take]) -> None:

@@ -50,6 +50,10 @@ TURN_PERIODS, SWAY_PERIODS, GAZE_PERIODS = (37.0, 23.0, 53.0), (61.0, 43.0, 71.0
 """Frames that a wave takes: yaw, pitch, roll; sway along three axes; gaze sideways and down. All are primes,
 so that they meet in all ways."""
 
+QUICK_TILTS = (37.0, 23.0, 19.0)
+"""Periods of the turns where what comes with the tilt is to be learned: a wave that comes three times in all
+goes with the sway by chance (a correlation of 0.6), and whoever learns from that one learns nothing else."""
+
 GESTURE_STEP = 5.0
 """Frames from a gesture's height to the next one's; each lasts twice as long."""
 
@@ -94,7 +98,9 @@ class Performance:
         return FrameParameters(self.translation[index], torch.stack(joints), self.expression[index])
 
 
-def perform(names: tuple[str, ...], *, train: int, test: int, seed: int) -> Performance:
+def perform(
+    names: tuple[str, ...], *, train: int, test: int, seed: int, quick_tilts: bool = False
+) -> Performance:
     """Play.
 
     Args:
@@ -102,11 +108,12 @@ def perform(names: tuple[str, ...], *, train: int, test: int, seed: int) -> Perf
         train: Frames to train on; the first one is at rest and looks ahead.
         test: Frames to test on.
         seed: Seed of every choice.
+        quick_tilts: Turn with `QUICK_TILTS`.
     """
     generator = generator_of(seed, Purpose.PERFORMANCE)
     frames = train + test
     ease = _smooth_step(np.arange(frames) / EASE)[:, None]
-    turn = ease * _waves(generator, TURN_PERIODS, frames) * (YAW, PITCH, ROLL)
+    turn = ease * _waves(generator, QUICK_TILTS if quick_tilts else TURN_PERIODS, frames) * (YAW, PITCH, ROLL)
     sway = ease * _waves(generator, SWAY_PERIODS, frames) * SWAY
     expression, opening = np.zeros((frames, len(names))), np.zeros(frames)
     for gestures, strength in ((UPPER, 1.0), (LOWER, 1.0), (SPEECH, 0.8)):

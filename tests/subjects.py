@@ -147,7 +147,8 @@ def small_avatar(*, gaussians=200, perturb=0.0, motion=None, light_sizes=None, d
             canonical,
             AvatarSettings(
                 uv_size=size,
-                motion=motion or MotionSettings(width=8, region_width=4, condition_width=8, bands=3),
+                motion=motion
+                or MotionSettings(width=8, region_width=4, condition_width=8, bands=3, displacement_bands=3),
                 **settings,
             ),
             gaussians=start,

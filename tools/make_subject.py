@@ -207,7 +207,11 @@ def _write_preview(config: SubjectConfig, path: Path, light: DatasetLight) -> No
     """One picture of one frame under one light."""
     cast = build_cast(config.seed, texels=_texels(config.preview_size), hidden=config.hidden_motion)
     performance = perform(
-        cast.template.expression_names, train=config.train, test=config.test, seed=config.seed
+        cast.template.expression_names,
+        train=config.train,
+        test=config.test,
+        seed=config.seed,
+        quick_tilts=config.hidden_motion,
     )
     studio = Studio(cast, size=config.preview_size, effort=PREVIEW_EFFORT)
     posed = studio.pose(performance.frame(config.frame))

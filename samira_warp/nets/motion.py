@@ -29,7 +29,10 @@ class MotionSettings:
         width: Channels of the shared feature F_sh and of F_pos and F_d.
         region_width: Channels of each region's feature F_k.
         condition_width: Hidden units of each AdaIN's affine map.
-        bands: Octaves of the Fourier mappings.
+        bands: Octaves of the positions' Fourier mapping.
+        displacement_bands: Octaves of the displacement's. It tells frames apart, not places: in six octaves,
+            some hundred radians for a centimetre, neighbouring frames look unlike each other, and the network
+            learns them by heart (docs/measurements.md).
         routing: Regions have masks of their own; False is one mask of ones and one modulator.
         modulation: Regions have modulators of their own; False is one modulator behind all masks.
         displacement: The displacement map is seen; False sets F_d to zero.
@@ -40,6 +43,7 @@ class MotionSettings:
     region_width: int = 32
     condition_width: int = 64
     bands: int = 6
+    displacement_bands: int = 1
     routing: bool = True
     modulation: bool = True
     displacement: bool = True
@@ -84,8 +88,9 @@ class MotionNetwork(nn.Module):
             self.register_buffer(f"image_features_{level}", features)
         channels = fourier_channels(3, bands=settings.bands)
         self.position = nn.Sequential(nn.Conv2d(channels, width, 1), nn.SiLU(), nn.Conv2d(width, width, 1))
+        displacement_channels = fourier_channels(3, bands=settings.displacement_bands)
         self.displacement = nn.Sequential(
-            nn.Conv2d(channels, width, 1), nn.SiLU(), nn.Conv2d(width, width, 1)
+            nn.Conv2d(displacement_channels, width, 1), nn.SiLU(), nn.Conv2d(width, width, 1)
         )
         # without bias: the instance normalisation that follows would remove it
         self.lateral = nn.ModuleList(
@@ -122,7 +127,8 @@ class MotionNetwork(nn.Module):
         position = self.position(self.reference)
         shared = self._shared_feature(position, conditions)
         if self.settings.displacement:
-            displaced = self.displacement(fourier_features(displacement[None], bands=self.settings.bands))
+            mapped = fourier_features(displacement[None], bands=self.settings.displacement_bands)
+            displaced = self.displacement(mapped)
         else:
             displaced = torch.zeros_like(position)
         semantic = self.modulators(torch.cat([shared, displaced], dim=1))

@@ -63,6 +63,7 @@ def test_every_setting_survives(tmp_path):
             region_width=3,
             condition_width=5,
             bands=2,
+            displacement_bands=4,
             routing=False,
             displacement=False,
             wrinkles=True,
@@ -140,13 +141,17 @@ def test_a_broken_file_is_named(copy, name, damage):
 def as_older(folder, version):
     """Make an avatar folder what an older version would have written."""
     description = json.loads((folder / "avatar.json").read_text())
-    del description["settings"]["smoothing"]
+    del description["settings"]["motion"]["displacement_bands"]
+    if version <= 5:
+        del description["settings"]["motion"]["wrinkles"]
+    if version <= 4:
+        del description["settings"]["smoothing"]
+        without(folder / "avatar.safetensors", "gaussians.guessed")
     if version <= 3:
         del description["settings"]["visibility"]
     if version == 1:
         del description["settings"]["tied_light"]
     (folder / "avatar.json").write_text(json.dumps({**description, "format": version}))
-    without(folder / "avatar.safetensors", "gaussians.guessed")
     if version >= 3:
         return folder
     path = folder / "frames.safetensors"
@@ -160,7 +165,7 @@ def as_older(folder, version):
     return folder
 
 
-@pytest.mark.parametrize("version", [1, 2, 3, 4])
+@pytest.mark.parametrize("version", [1, 2, 3, 4, 5, 6])
 def test_folders_of_older_versions_are_read(saved, copy, version):
     avatar, folder = saved
     loaded = Avatar.load(as_older(copy, version))
@@ -196,7 +201,7 @@ def test_a_missing_part_of_an_older_versions_frames_is_named(copy, name):
 def test_an_older_folder_is_not_written_into(copy):
     frames = read_frames(copy)
     as_older(copy, 2)
-    refuses(copy, copy, "format 6", "found format 2", load=lambda folder: write_frames(folder, frames))
+    refuses(copy, copy, "format 7", "found format 2", load=lambda folder: write_frames(folder, frames))
     assert len(read_frames(copy)) == 1
     Avatar.load(copy).save(copy, record={})
     write_frames(copy, frames)
@@ -204,7 +209,7 @@ def test_an_older_folder_is_not_written_into(copy):
 
 
 def test_what_is_written_says_its_version(saved):
-    assert json.loads((saved[1] / "avatar.json").read_text())["format"] == 6
+    assert json.loads((saved[1] / "avatar.json").read_text())["format"] == 7
     assert "rotations" in tensor_names(saved[1] / "frames.safetensors")
 
 
@@ -227,7 +232,7 @@ def test_a_tied_light_is_one_map_and_comes_back(tmp_path):
 def test_an_unknown_version_is_refused_with_those_that_are_read(copy, version, found, load):
     description = json.loads((copy / "avatar.json").read_text())
     (copy / "avatar.json").write_text(json.dumps({**description, "format": version}))
-    refuses(copy, copy / "avatar.json", "an avatar of format 1 to 6", f"found {found}", load=load)
+    refuses(copy, copy / "avatar.json", "an avatar of format 1 to 7", f"found {found}", load=load)
 
 
 def test_a_description_of_another_kind_is_refused(copy):

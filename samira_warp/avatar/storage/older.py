@@ -7,6 +7,7 @@
 5   says by how much Gaussians are smoothed in space, and which are guesses: before, a wider low-pass widened
     them in the picture, and none was known to be a guess
 6   says whether wrinkles turn the normals: before, none did
+7   says in how many octaves the displacement is seen: before, in as many as positions
 """
 
 from __future__ import annotations
@@ -16,14 +17,14 @@ from typing import Any
 import torch
 from torch import Tensor
 
-FORMAT = 6
+FORMAT = 7
 """The version that is written."""
 
 UNSMOOTHED = 4
 """The last version that says neither how Gaussians are smoothed, for which a reader finds what stands for it
 (`storage.folder`), nor which are guesses."""
 
-READABLE = (1, 2, 3, 4, 5, 6)
+READABLE = (1, 2, 3, 4, 5, 6, 7)
 """The versions that are read, oldest first."""
 
 POSE_PARTS = ("rotation", "neck", "jaw", "eyes")
@@ -35,8 +36,11 @@ def settings_of_version(settings: dict[str, Any], version: int) -> dict[str, Any
     before: dict[str, Any] = {"tied_light": False} if version == 1 else {}
     before |= {"visibility": False} if version <= 3 else {}
     before |= {"smoothing": 0.0} if version <= UNSMOOTHED else {}
-    if version <= 5 and isinstance(settings.get("motion"), dict):
-        before |= {"motion": {**settings["motion"], "wrinkles": False}}
+    motion = settings.get("motion")
+    if isinstance(motion, dict):
+        motion = motion | ({"wrinkles": False} if version <= 5 else {})
+        motion |= {"displacement_bands": motion.get("bands")} if version <= 6 else {}
+        before |= {"motion": motion}
     return {**settings, **before}
 
 
