@@ -72,11 +72,25 @@ class ConditionStatistics(nn.Module):
 class AdaptiveInstanceNorm(nn.Module):
     """AdaIN: features normalised per channel, then scaled and shifted by a function of a condition."""
 
-    def __init__(self, channels: int, condition_size: int, *, hidden: int) -> None:
+    def __init__(self, channels: int, condition_size: int, *, hidden: int = 0) -> None:
+        """Make the layer.
+
+        Args:
+            channels: C.
+            condition_size: D.
+            hidden: Units between the condition and what scales and shifts; 0 is an affine map, which starts
+                at nothing: no feature depends on a condition yet.
+        """
         super().__init__()
-        self.affine = nn.Sequential(
-            nn.Linear(condition_size, hidden), nn.SiLU(), nn.Linear(hidden, 2 * channels)
-        )
+        self.affine: nn.Module
+        if hidden:
+            self.affine = nn.Sequential(
+                nn.Linear(condition_size, hidden), nn.SiLU(), nn.Linear(hidden, 2 * channels)
+            )
+        else:
+            self.affine = nn.Linear(condition_size, 2 * channels)
+            for parameter in self.affine.parameters():
+                nn.init.zeros_(parameter)
 
     def forward(self, features: Tensor, condition: Tensor) -> Tensor:
         """Apply to (1, C, H, W) features with a (D,) condition."""

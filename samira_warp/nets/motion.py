@@ -28,7 +28,9 @@ class MotionSettings:
     Attributes:
         width: Channels of the shared feature F_sh and of F_pos and F_d.
         region_width: Channels of each region's feature F_k.
-        condition_width: Hidden units of each AdaIN's affine map.
+        condition_width: Hidden units between a condition and its AdaIN's scales and shifts; 0 is an affine
+            map. A perceptron of 64, which older avatars have, learned training frames by heart
+            (docs/measurements.md).
         bands: Octaves of the positions' Fourier mapping.
         displacement_bands: Octaves of the displacement's. It tells frames apart, not places: in six octaves,
             some hundred radians for a centimetre, neighbouring frames look unlike each other, and the network
@@ -41,7 +43,7 @@ class MotionSettings:
 
     width: int = 64
     region_width: int = 32
-    condition_width: int = 64
+    condition_width: int = 0
     bands: int = 6
     displacement_bands: int = 1
     routing: bool = True

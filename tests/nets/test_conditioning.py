@@ -1,3 +1,4 @@
+import pytest
 import torch
 
 from samira_warp.nets import AdaptiveInstanceNorm, Conditions, ConditionStatistics
@@ -79,9 +80,14 @@ def test_frames_are_standardised_one_by_one_or_together(generator):
         assert all(torch.equal(a, b[row]) for a, b in zip(alone, together, strict=True))
 
 
-def test_adain_gives_each_channel_the_mean_and_deviation_that_the_condition_asks_for(device, generator):
+@pytest.mark.parametrize("hidden", [0, 8])
+def test_adain_gives_each_channel_the_mean_and_deviation_that_the_condition_asks_for(
+    hidden, device, generator
+):
     torch.manual_seed(0)
-    layer = AdaptiveInstanceNorm(5, 3, hidden=8).double().to(device)
+    layer = AdaptiveInstanceNorm(5, 3, hidden=hidden).double().to(device)
+    for parameter in layer.parameters():
+        torch.nn.init.normal_(parameter, std=0.3)
     features = (3.0 + 2.0 * torch.randn(1, 5, 16, 16, generator=generator, dtype=torch.float64)).to(device)
     condition = torch.randn(3, generator=generator, dtype=torch.float64).to(device)
     scale, shift = layer.affine(condition).view(2, 5)
@@ -96,3 +102,15 @@ def test_adain_gives_each_channel_the_mean_and_deviation_that_the_condition_asks
     )
     expected = (features - mean) / deviation * (1.0 + scale.view(1, 5, 1, 1)) + shift.view(1, 5, 1, 1)
     torch.testing.assert_close(layer(features, condition), expected)
+
+
+def test_an_affine_adain_starts_without_a_condition_and_goes_as_far_as_it_goes(generator):
+    torch.manual_seed(0)
+    layer = AdaptiveInstanceNorm(5, 3).double()
+    features = torch.randn(1, 5, 8, 8, generator=generator, dtype=torch.float64)
+    one, other = torch.randn(2, 3, generator=generator, dtype=torch.float64)
+    assert torch.equal(layer(features, one), layer(features, other))
+    torch.nn.init.normal_(layer.affine.weight)
+    nothing = layer(features, torch.zeros(3, dtype=torch.float64))
+    together = layer(features, one) + layer(features, other) - nothing
+    torch.testing.assert_close(layer(features, one + other), together)
