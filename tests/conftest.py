@@ -3,7 +3,6 @@
 import os
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 os.environ.setdefault("PYTHONHASHSEED", "0")
@@ -140,10 +139,11 @@ def tiny_dataset(made_once):
 def trained_on(dataset):
     """Makes the finished run of `subjects.STEPS` steps on a dataset."""
     from subjects import train_arguments
+    from warm_start import warm_python
 
     def make(folder):
         program = Path(__file__).with_name("subjects.py")
-        command = [sys.executable, str(program), *map(str, train_arguments(dataset, folder))]
+        command = [*warm_python(), str(program), *map(str, train_arguments(dataset, folder))]
         assert subprocess.run(command, timeout=600, check=False).returncode == 0
 
     return make
