@@ -194,6 +194,15 @@ def built_in_run(built_in_datasets, made_once):
 
 
 @pytest.fixture(scope="session", autouse=True)
+def _no_power_cut():
+    """Files are written as ever, and the disk is not waited for: for a file of a kilobyte that takes longer
+    than all else. A process that is killed leaves what it had written."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", lambda descriptor: None)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
 def _own_cache(common_folder):
     """Tests keep nothing in the user's cache folder, nor find anything there; processes that they start share
     theirs."""
