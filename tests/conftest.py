@@ -34,6 +34,8 @@ LONG_FILES = (
     "test_relighting.py",
     "test_occlusion.py",
     "test_blending_cuda.py",
+    "test_view_scene.py",
+    "test_follow_faces.py",
 )
 """What workers begin with, so that none is left with one of these at the end."""
 
