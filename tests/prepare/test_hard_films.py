@@ -13,7 +13,7 @@ from test_prepare import command, prepare, refusal, tree
 from samira_warp.prepare import run as module
 from samira_warp.prepare.faces import LONGEST_GAP
 from samira_warp.support.errors import UserError
-from samira_warp.tracker import render_fit, track
+from samira_warp.tracker import render_fit
 
 
 @pytest.fixture
@@ -182,12 +182,8 @@ def test_a_short_gap_is_interpolated(covered, taken):
     assert np.median(apart[list(gap)], axis=1).max() < 6.0
 
 
-def test_a_killed_run_goes_on_to_the_same_bytes(covered, tmp_path, monkeypatch):
-    """Killed in the middle of the mattes, when the faces are known; another process goes on.
-
-    It ends within the tracking, and a third goes on there: what was found from landmarks and by rendering is
-    not looked for again.
-    """
+def test_a_killed_run_goes_on_to_the_same_bytes(covered, tmp_path):
+    """Killed in the middle of the mattes, when the faces are known; another process goes on."""
     whole, _ = covered
     film, out = whole.parent / "covered.mp4", tmp_path / "out"
     begun = command(film, "--out", out)
@@ -200,19 +196,7 @@ def test_a_killed_run_goes_on_to_the_same_bytes(covered, tmp_path, monkeypatch):
     begun.communicate()
     faces = (out / "film" / "faces.npz").stat().st_mtime_ns
     assert not (out / "tracking").exists()
-
-    def end(*arguments, **options):
-        raise UserError("this part", expected="another time", found="none")
-
-    with monkeypatch.context() as patch:
-        patch.setattr(track, "fit_pixels", end)
-        assert prepare(film, "--out", out) == 2
-    assert sorted(path.stem for path in (out / "stages" / "tracking").iterdir()) == ["landmarks", "rendering"]
-    assert not (out / "tracking").exists()
-    for part in ("fit_subject", "_refine_subject"):
-        monkeypatch.setattr(track, part, end)
     assert prepare(film, "--out", out) == 0
-    assert not (out / "stages" / "tracking").exists()
     assert (out / "film" / "faces.npz").stat().st_mtime_ns == faces
     for folder in ("film", "tracking", "dataset"):
         assert tree(out / folder) == tree(whole / folder)

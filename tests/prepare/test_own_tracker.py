@@ -10,7 +10,9 @@ import av
 import films
 import numpy as np
 import pytest
+import torch
 from data.damage import file_size_limit
+from safetensors.torch import load_file
 from subjects import train_arguments, train_command
 from test_prepare import command, interrupt, prepare, refusal, times, tree
 
@@ -24,6 +26,7 @@ from samira_warp.io.images import read_image
 from samira_warp.prepare import own_tracking, run
 from samira_warp.prepare.own_tracking import FIT_FILE, read_fit
 from samira_warp.support.errors import UserError
+from samira_warp.tracker import render_fit, track
 
 POINTS = 200
 FRAMES = len(films.MOMENTS)
@@ -208,6 +211,32 @@ def test_a_head_whose_charts_lie_over_each_other_is_packed_anew(
     (head,) = heads
     assert uv_fault(head.vt, head.ft) is None
     assert np.array_equal(head.faces, template.faces)
+
+
+def test_a_tracking_goes_on_after_the_parts_that_are_done(prepared, taken, film, tmp_path, monkeypatch):
+    """What was found from landmarks and by rendering is not looked for again."""
+    out = without(shutil.copytree(prepared, tmp_path / "out"), "tracking", "dataset")
+    monkeypatch.setattr(render_fit, "LEVELS", films.FEW_STEPS)
+
+    def end(*arguments, **options):
+        raise UserError("this part", expected="another time", found="none")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(track, "fit_pixels", end)
+        assert prepare(film, "--out", out) == 2
+    assert sorted(path.stem for path in (out / "stages" / "tracking").iterdir()) == ["landmarks", "rendering"]
+    assert not (out / "tracking").exists()
+    rendered = load_file(out / "stages" / "tracking" / "rendering.safetensors")
+    for part in ("fit_subject", "_refine_subject"):
+        monkeypatch.setattr(track, part, end)
+    assert prepare(film, "--out", out) == 0
+    assert not (out / "stages" / "tracking").exists()
+    found = read_fit(out / "tracking" / FIT_FILE)
+    assert torch.equal(found.albedo, rendered["albedo"])
+    assert found.focal == pytest.approx(float(rendered["subject"][-1].exp()), rel=1e-12)
+    face = taken.template.masks["face"][:: len(taken.template.masks["face"]) // POINTS]
+    apart = np.linalg.norm(tracked_pixels(out)[:, face] - taken.pixels[:, face], axis=-1)
+    assert np.median(apart) < films.BIAS
 
 
 def test_ctrl_c_while_tracking_leaves_nothing_half(prepared, film, tmp_path):
