@@ -15,7 +15,7 @@ import torch
 from scipy.ndimage import gaussian_filter
 from tqdm import tqdm
 
-from samira_subject.lights import DatasetLight
+from samira_subject.lights import DatasetLight, built_in_light
 from samira_subject.orbit import POSES, held_poses, orbit_camera, view_name
 from samira_subject.performance import FRAMES_PER_SECOND, Performance, perform
 from samira_subject.plan import HIDDEN_FILE, ORBIT, VERSION, SubjectPlan, Take, film_name
@@ -66,7 +66,7 @@ def make_subject(
     digests = [] if lights is None else [light.digest for light in lights]
 
     def fill(half: Path) -> None:
-        _make(half, plan, cast, [DatasetLight(name) for name in plan.lights] if lights is None else lights)
+        _make(half, plan, cast, [built_in_light(name) for name in plan.lights] if lights is None else lights)
 
     resume_folder(folder, fill, recipe=plan.recipe(digests))
 

@@ -3,7 +3,6 @@
 import os
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 os.environ.setdefault("PYTHONHASHSEED", "0")
@@ -35,6 +34,8 @@ LONG_FILES = (
     "test_relighting.py",
     "test_occlusion.py",
     "test_blending_cuda.py",
+    "test_view_scene.py",
+    "test_follow_faces.py",
 )
 """What workers begin with, so that none is left with one of these at the end."""
 
@@ -140,10 +141,11 @@ def tiny_dataset(made_once):
 def trained_on(dataset):
     """Makes the finished run of `subjects.STEPS` steps on a dataset."""
     from subjects import train_arguments
+    from warm_start import warm_python
 
     def make(folder):
         program = Path(__file__).with_name("subjects.py")
-        command = [sys.executable, str(program), *map(str, train_arguments(dataset, folder))]
+        command = [*warm_python(), str(program), *map(str, train_arguments(dataset, folder))]
         assert subprocess.run(command, timeout=600, check=False).returncode == 0
 
     return make
@@ -191,6 +193,15 @@ def built_in_datasets(made_once):
 def built_in_run(built_in_datasets, made_once):
     """The finished run on the built-in subject."""
     return made_once("built in run", trained_on(built_in_datasets["VHAP export"]))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _no_power_cut():
+    """Files are written as ever, and the disk is not waited for: for a file of a kilobyte that takes longer
+    than all else. A process that is killed leaves what it had written."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(os, "fsync", lambda descriptor: None)
+        yield
 
 
 @pytest.fixture(scope="session", autouse=True)

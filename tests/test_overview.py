@@ -1,31 +1,30 @@
 """``tools/overview.py``: one labelled row of pictures."""
 
-import subprocess
+import functools
+import importlib
 
 import numpy as np
 from subjects import TESTS
-from warm_start import warm_python
 
 from samira_warp.avatar import Avatar, read_frames
 from samira_warp.io.images import read_image, write_exr
+from samira_warp.light import Environment
 from samira_warp.stage import layer_image
 
 
-def test_a_row_of_pictures(tiny_run, tmp_path):
+def test_a_row_of_pictures(tiny_run, tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(TESTS.parent / "tools")
+    tool = importlib.import_module("overview")
+    # cubes of 64 texels: the default's 256 take seconds to filter
+    monkeypatch.setattr(Environment, "load", functools.partial(Environment.load, size=64))
     radiance = np.full((16, 32, 3), 5.0, np.float32)
     for name in ("even.exr", "bright.exr"):
         write_exr(tmp_path / name, radiance)
-    command = [*warm_python(), str(TESTS.parent / "tools" / "overview.py"), "--avatar", str(tiny_run)]
-    options = ["--env", str(tmp_path / "even.exr"), str(tmp_path / "bright.exr"), "--frame", "1"]
     out = tmp_path / "overview.png"
-    done = subprocess.run(
-        [*command, *options, "--resolution", "32", "--out", str(out)],
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
+    words = ["--avatar", tiny_run, "--env", tmp_path / "even.exr", tmp_path / "bright.exr"]
+    words += ["--frame", 1, "--resolution", 32, "--out", out]
+    arguments = [str(word) for word in words]
+    assert tool.run(tool.main, tool.OverviewConfig, program="overview", arguments=arguments) == 0
     picture, gap, line = read_image(out, channels=3), 2, 14
     assert picture.shape == (32 + line + 2 * gap, 5 * (32 + gap) + gap, 3)
     panels = [picture[gap : gap + 32, gap + 34 * index : 34 * (index + 1)] for index in range(5)]

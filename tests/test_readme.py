@@ -1,8 +1,8 @@
 """The README's commands, run as they are printed and in their order, by a newcomer with an empty home.
 
 The built-in subject that would be made in minutes is a smaller one of the same person, found in the cache,
-the preset that would train in minutes is as small, lights are cubes of 64 texels, and other people are filmed
-with few rays: the commands do not know.
+the preset that would train in minutes is as small, lights are cubes of 64 texels, films have four pictures to
+the second, and other people are filmed with few rays: the commands do not know.
 """
 
 import json
@@ -56,7 +56,9 @@ PRESETS["cpu"] = Preset(
 )
 if "render" in sys.orig_argv:
     from samira_warp.light import Environment
+    from samira_warp.render.config import RenderConfig
     Environment.load = functools.partial(Environment.load, size=64)
+    RenderConfig.__dataclass_fields__["fps"].default = 4.0
 if any(word.endswith("make_subject.py") for word in sys.orig_argv):
     from samira_subject import plan
     from samira_subject.raycaster import Effort

@@ -4,8 +4,9 @@ command line would take.
 `warm_python` is a command that stands for ``sys.executable``: ``[*warm_python(), "-m", "samira_warp", ...]``.
 A process that has imported the package, which starts nothing (tests/test_package.py), forks for each of them.
 The command has the child's standard streams, working folder, environment and exit status, hands signals on to
-it, and ends it where it is itself killed. Where a variable differs that is read when Python or torch is
-loaded, it is a new process. So is every ``sys.executable``: each verb has a test that starts it that way.
+it, and ends it where it is itself killed. The child does not wait for the disk. Where a variable differs that
+is read when Python or torch is loaded, it is a new process. So is every ``sys.executable``: each verb has a
+test that starts it that way.
 
 ``python tests/warm_start.py FOLDER`` is the process that forks.
 """
@@ -154,6 +155,7 @@ def serve(folder):
     with open(os.path.join(folder, STARTED), "w", encoding="utf-8") as file:
         json.dump(dict(os.environ), file)
     importlib.import_module("torch._dynamo")  # a second or more, when the first optimiser is made
+    os.fsync = lambda descriptor: None  # as in the tests' own processes: tests/conftest.py says why
     gc.freeze()  # a child's collector then leaves the pages of what is there shared
     listener = socket.socket(socket.AF_UNIX)
     listener.bind(os.path.join(folder, "new"))

@@ -14,7 +14,7 @@ from data.layouts import FLIP, WRITERS, Film, joint_rotations, write_layout
 
 from samira_subject.cast import build_cast
 from samira_subject.head import build_head
-from samira_subject.lights import DatasetLight
+from samira_subject.lights import built_in_light
 from samira_subject.performance import perform
 from samira_subject.raycaster import Effort
 from samira_subject.sky import CAPTURE
@@ -54,7 +54,7 @@ def built_in_film(seed):
         height=SIZE,
         names=[f"{index:05d}" for index in range(len(rows))],
     )
-    sky = DatasetLight(CAPTURE).tables
+    sky = built_in_light(CAPTURE).tables
     taken = [
         studio.take(studio.pose(parameters_of(film, row).to(dtype=torch.float32)), sky, seed=row)
         for row in range(len(film))

@@ -1,3 +1,4 @@
+import functools
 import json
 
 import numpy as np
@@ -6,12 +7,14 @@ import torch
 
 from samira_warp.bench import light, light_table
 from samira_warp.io.images import write_exr
+from samira_warp.light import Environment
 from samira_warp.support.errors import UserError
 
 
 @pytest.fixture
-def folder(tmp_path):
-    """A folder with one smooth map."""
+def folder(tmp_path, monkeypatch):
+    """A folder with one smooth map. Cubes of 64 texels hold it: the default's 256 take seconds to filter."""
+    monkeypatch.setattr(Environment, "load", functools.partial(Environment.load, size=64))
     rows = np.linspace(2.0, 0.5, 16)[:, None, None] * np.array([0.8, 1.0, 1.2])
     write_exr(tmp_path / "sky.exr", np.broadcast_to(rows, (16, 32, 3)).astype(np.float32))
     return tmp_path

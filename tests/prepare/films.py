@@ -9,7 +9,7 @@ import torch
 
 from samira_subject.cast import build_cast
 from samira_subject.gestures import BLINK
-from samira_subject.lights import DatasetLight
+from samira_subject.lights import built_in_light
 from samira_subject.performance import perform
 from samira_subject.raycaster import Effort
 from samira_subject.sky import CAPTURE
@@ -85,7 +85,7 @@ def take():
     """Film some moments of the performance."""
     cast = build_cast(0, texels=512)
     played = perform(cast.template.expression_names, train=160, test=40, seed=0)
-    studio, sky = Studio(cast, size=SIZE, effort=FEW_RAYS), DatasetLight(CAPTURE).tables
+    studio, sky = Studio(cast, size=SIZE, effort=FEW_RAYS), built_in_light(CAPTURE).tables
     rig = Rig.build(cast.template)
     pictures, coverage, pixels = [], [], []
     for frame in MOMENTS:

@@ -1,5 +1,6 @@
 """``render`` from cameras of a user's own, round the head, and without a background."""
 
+import functools
 import json
 import shutil
 from dataclasses import replace
@@ -14,6 +15,7 @@ from samira_warp.avatar import Avatar, read_frames
 from samira_warp.evaluate.__main__ import EvaluateConfig
 from samira_warp.evaluate.__main__ import main as evaluate_main
 from samira_warp.io.images import read_image, read_rgba, write_exr
+from samira_warp.light import Environment
 from samira_warp.stage.viewpoint import HeadPlace, Viewpoint, distance_to
 from samira_warp.support.cli import run
 
@@ -187,7 +189,8 @@ def test_what_has_no_background_is_scored_as_on_its_own(tiny_run, tiny_dataset, 
         assert scores["normal_angle"] < 1.0
 
 
-def test_an_avatar_that_works_in_image_values_has_no_tone_map(tiny_run, tmp_path, capsys):
+def test_an_avatar_that_works_in_image_values_has_no_tone_map(tiny_run, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(Environment, "load", functools.partial(Environment.load, size=32))
     avatar = Avatar.load(tiny_run)
     folder = shutil.copytree(tiny_run / "avatar", tmp_path / "avatar")
     avatar.settings = replace(avatar.settings, color_space="raw")

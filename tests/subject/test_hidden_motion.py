@@ -9,7 +9,7 @@ from scipy.spatial.transform import Rotation
 
 from samira_subject.cast import build_cast
 from samira_subject.hidden_motion import hidden_motion
-from samira_subject.lights import DatasetLight
+from samira_subject.lights import built_in_light
 from samira_subject.make import make_subject
 from samira_subject.performance import perform
 from samira_subject.plan import SubjectPlan
@@ -103,7 +103,7 @@ def test_cheeks_bulge_by_the_square_of_a_smile(cast):
 @pytest.fixture(scope="module")
 def films(cast, tmp_path_factory):
     """The same film with hidden motion and without."""
-    folder, lights = tmp_path_factory.mktemp("films"), [DatasetLight(name) for name in PLAN.lights]
+    folder, lights = tmp_path_factory.mktemp("films"), [built_in_light(name) for name in PLAN.lights]
     still = Cast(cast.template, cast.identity, cast.materials)
     make_subject(folder / "still", PLAN, lambda: still, lights)
     make_subject(folder / "moving", replace(PLAN, hidden=True), lambda: cast, lights)

@@ -6,7 +6,7 @@ import numpy as np
 from PIL import Image
 
 from samira_subject.cast import build_cast
-from samira_subject.lights import DatasetLight
+from samira_subject.lights import built_in_light
 from samira_subject.performance import perform
 from samira_subject.raycaster import Effort
 from samira_subject.sky import CAPTURE
@@ -56,7 +56,7 @@ def take_portraits():
     studio, rig, sky = (
         Studio(cast, size=SIZE, effort=FEW_RAYS),
         Rig.build(cast.template),
-        DatasetLight(CAPTURE),
+        built_in_light(CAPTURE),
     )
     rest = rig.pose(rig.rest(), cast.identity).vertices
     fronts = []
