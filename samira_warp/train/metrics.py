@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 METRICS_FILE = "metrics.jsonl"
-"""Each line has ``step`` and ``seconds``, the means of the loss's terms since the line before, ``loss``, their
-sum, and ``psnr``, of the training frames; where a preview was made, also ``test_psnr``."""
+"""Each line has ``step`` and ``seconds``, the means of the loss's terms since the line before, their sum
+``loss``, and ``psnr``, of the training frames; where a preview was made, also ``test_psnr``."""
 
 
 def read_metrics(run: Path) -> tuple[dict[str, Any], ...]:
