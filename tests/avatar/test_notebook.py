@@ -43,8 +43,8 @@ def test_an_avatar_shows_its_face_at_rest_whole_and_upright(avatar):
     head = (picture < 250).any(axis=2)
     assert not head[[0, -1]].any()
     assert not head[:, [0, -1]].any()
-    # the box of the vertices at rest, of the nearest ones 1 / 1.2 of the side, is where the head is: Gaussians
-    # of a run of six steps reach past them by up to a tenth of the side
+    # the head is where the vertices at rest are; Gaussians of a run of six steps reach past them by up to a
+    # tenth of the side
     vertices = avatar.canonical.vertices
     points = portrait_camera(avatar.canonical).image_points(vertices)[:, :2].detach().numpy()
     ends = [
