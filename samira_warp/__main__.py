@@ -18,6 +18,7 @@ VERBS = {
     "evaluate": "score images against a dataset",
     "export": "write an avatar for other programs",
     "ablate": "train the method without each of its parts, and compare",
+    "compare": "put training runs side by side in a report",
     "bench": "time a part of the package on this machine",
 }
 """What each verb does, in the order in which they are used."""

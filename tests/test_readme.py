@@ -180,6 +180,7 @@ def test_the_commands_for_ones_own_video_run(newcomer, tiny_dataset, tmp_path):
 def test_the_example_writes_its_picture(newcomer):
     printed = newcomer.run(f"python -c {shlex.quote(python_block())}")
     assert (newcomer.folder / "relit.png").is_file()
+    assert read_image(newcomer.folder / "layers.png", channels=3).std() > 0.05
     assert printed.startswith("torch.Size([")
 
 

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import contextlib
-import io
 import json
 import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
-
-from PIL import Image
 
 from samira_warp.ablate.config import AblateConfig
 from samira_warp.ablate.picture import draw_regions
@@ -18,6 +15,7 @@ from samira_warp.ablate.scores import score_runs
 from samira_warp.ablate.study import Run, Study, open_study
 from samira_warp.ablate.table import Table, as_json, markdown, nested, scores_in, tabulate
 from samira_warp.io.files import read_json, replace_file
+from samira_warp.io.images import encode_png
 from samira_warp.train.begun import CONFIG_FILE
 from samira_warp.train.run import train
 
@@ -103,9 +101,7 @@ def _write(out: Path, study: Study, results: Sequence[dict[str, Any]], table: Ta
         "variants": as_json(table),
     }
     if table.differences:
-        picture = io.BytesIO()
-        Image.fromarray(draw_regions(table)).save(picture, "PNG")
-        replace_file(out / PICTURE_FILE, picture.getvalue())
+        replace_file(out / PICTURE_FILE, encode_png(draw_regions(table)))
     else:
         (out / PICTURE_FILE).unlink(missing_ok=True)  # one of other variants
     replace_file(out / JSON_FILE, json.dumps(content, indent=1))

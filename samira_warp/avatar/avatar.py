@@ -16,6 +16,7 @@ from samira_warp.avatar.editing import MaterialEdit, edit_materials
 from samira_warp.avatar.gaussians import Gaussians
 from samira_warp.avatar.gbuffer import GBuffer, blend_arrival, light_channels, render_gbuffer
 from samira_warp.avatar.occlusion import Occluder, Occlusion, gaussian_arrival
+from samira_warp.avatar.portrait import Portraits, png_of
 from samira_warp.avatar.residual import axis_angle_to_quaternion, limit_residual, quaternion_product
 from samira_warp.avatar.response import response_factors, response_map
 from samira_warp.avatar.settings import AvatarSettings
@@ -101,6 +102,10 @@ class Rendering:
         """(H, W, 3) display values of the G-buffer's albedo."""
         return to_display(self.gbuffer.albedo, color_space=self.color_space)
 
+    def _repr_png_(self) -> bytes:
+        """The image, where a notebook shows it."""
+        return png_of(self.image)
+
 
 class Avatar(nn.Module):
     """A relightable, animatable head: head parameters, a camera and a light in, an image out.
@@ -139,6 +144,7 @@ class Avatar(nn.Module):
         self.response_logits = nn.Parameter(torch.zeros(len(REGIONS), 2))
         self.light = light
         self.occluder = Occluder(canonical.vertices, canonical.topology)
+        self._portraits = Portraits()
         self.set_gaussians(gaussians)
 
     def set_gaussians(self, gaussians: Gaussians) -> None:
@@ -365,6 +371,10 @@ class Avatar(nn.Module):
         sRGB-encoded where shading is linear, as it is where shading works in image values.
         """
         return to_display(values, color_space=self.settings.color_space)
+
+    def _repr_png_(self) -> bytes:
+        """The face at rest under the learned light, where a notebook shows the avatar."""
+        return png_of(self._portraits.draw(self))
 
     def load_state_dict(
         self, state_dict: Mapping[str, Any], strict: bool = True, assign: bool = False

@@ -24,6 +24,9 @@ from samira_warp.view.state import Lamp, Light, Pose, State
 
 SIZES = (256, 512)
 
+SPLAT_BYTES = 32
+"""Of a splat on its way to the browser, before viser compresses them."""
+
 MOVES: dict[str, Callable[[State, int], State]] = {
     "camera": lambda s, k: replace(s, look=s.look._replace(fov=s.look.fov * (1.0 + 0.01 * k))),
     "light": lambda s, k: replace(s, light=replace(s.light, rotate=float(k))),
@@ -40,14 +43,7 @@ def measure(device: torch.device, *, size: int) -> list[dict[str, object]]:
     It has 20,000 Gaussians, under one of the package's lights, with shadows; the viewer keeps what does not
     change. The JPEG file is Pillow's, as viser makes it where there is no OpenCV.
     """
-    avatar, camera = make_avatar("cpu", device=device), make_camera(size)
-    frames = [
-        DrivingFrame(f"{number:02d}", make_parameters(number), camera, "train")
-        for number in range(timing.WARM_UP + timing.REPEATS)
-    ]
-    shown = Shown(avatar, Path(), Poser(frames, avatar.canonical.template))
-    scene = Scene(shown, Lights(device=device))
-    start = State(Look.of(camera), light=Light(next(iter(scene.lights.paths))))
+    scene, start = _scene(device, size=size)
     rows = []
     for moved, move in MOVES.items():
         stopwatch, sides = Stopwatch(device), Sides.new()
@@ -61,7 +57,7 @@ def measure(device: torch.device, *, size: int) -> list[dict[str, object]]:
         rows.append(
             {
                 "size": size,
-                "gaussians": len(avatar.gaussians),
+                "gaussians": len(scene.shown.avatar.gaussians),
                 "moves": moved,
                 "picture_ms": times["picture"],
                 "jpeg_ms": times["jpeg"],
@@ -71,12 +67,52 @@ def measure(device: torch.device, *, size: int) -> list[dict[str, object]]:
     return rows
 
 
+def measure_splats(device: torch.device) -> list[dict[str, object]]:
+    """Median milliseconds until splats are ready to be sent to the browser, a row for each that is moved.
+
+    While the camera moves none are sent.
+    """
+    scene, start = _scene(device, size=SIZES[0])
+    rows = []
+    for moved, move in MOVES.items():
+        if moved == "camera":
+            continue
+        stopwatch, sides = Stopwatch(device), Sides.new()
+        for number in range(timing.WARM_UP + timing.REPEATS):
+            with stopwatch.stage("splats"):
+                scene.splats(move(start, number), sides.left, detail="quick")
+        milliseconds, count = stopwatch.medians()["splats"], len(scene.shown.avatar.gaussians)
+        rows.append(
+            {
+                "splats": count,
+                "moves": moved,
+                "splats_ms": milliseconds,
+                "updates_per_second": 1e3 / milliseconds,
+                "megabytes": count * SPLAT_BYTES / 1e6,
+            }
+        )
+    return rows
+
+
+def _scene(device: torch.device, *, size: int) -> tuple[Scene, State]:
+    """The cpu preset's avatar with as many frames as there are pictures, and what is chosen first."""
+    avatar, camera = make_avatar("cpu", device=device), make_camera(size)
+    frames = [
+        DrivingFrame(f"{number:02d}", make_parameters(number), camera, "train")
+        for number in range(timing.WARM_UP + timing.REPEATS)
+    ]
+    scene = Scene(Shown(avatar, Path(), Poser(frames, avatar.canonical.template)), Lights(device=device))
+    return scene, State(Look.of(camera), light=Light(next(iter(scene.lights.paths))))
+
+
 def main(device: str, json: bool) -> None:
-    """Measure at every size and print a table, or JSON rows."""
+    """Measure at every size and print tables, or JSON rows."""
     on = torch.device(device)
     rows = [row for size in SIZES for row in measure(on, size=size)]
+    splats = measure_splats(on)
     if json:
-        print(json_format.dumps([{**row, "hardware": hardware(on)} for row in rows]))
+        print(json_format.dumps([{**row, "hardware": hardware(on)} for row in (*rows, *splats)]))
         return
     print(hardware(on))
     print_table(rows)
+    print_table(splats)

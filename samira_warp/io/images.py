@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 from typing import Literal, NamedTuple
 
 import numpy as np
 import OpenImageIO as oiio  # noqa: N813 - the name its own documentation uses
+from PIL import Image
 
 from samira_warp.io.decoding import decode, opened, picture_size, utf8_name
 from samira_warp.io.whole import check_whole
@@ -171,6 +173,13 @@ def write_exr(path: Path, array: np.ndarray) -> None:
         OSError: The file cannot be written.
     """
     _write(path, array.astype(np.float32, copy=False), oiio.FLOAT)
+
+
+def encode_png(array: np.ndarray) -> bytes:
+    """(H, W, 3) uint8 as the bytes of a PNG file."""
+    file = io.BytesIO()
+    Image.fromarray(array).save(file, "PNG")
+    return file.getvalue()
 
 
 def to_uint8(array: np.ndarray) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from pathlib import Path
 from types import TracebackType
 
@@ -17,6 +18,7 @@ from samira_warp.io.images import write_png
 from samira_warp.light import Environment, encode_srgb
 from samira_warp.light.equirect import cube_to_equirect
 from samira_warp.train.losses import Target
+from samira_warp.train.metrics import METRICS_FILE, read_metrics
 
 LOG_EVERY = 25
 """Steps between log lines: numbers are read back from the device only then."""
@@ -28,8 +30,11 @@ class RunLog:
     def __init__(self, folder: Path, *, steps: int, start: int) -> None:
         self._previews = folder / "preview"
         self._previews.mkdir(parents=True, exist_ok=True)
-        self._metrics = folder / "metrics.jsonl"
+        self._metrics = folder / METRICS_FILE
         _drop_lines_after(self._metrics, start)
+        # a run that goes on has taken the time until then, and none while it stood still
+        before = [line["seconds"] for line in read_metrics(folder) if "seconds" in line]
+        self._began = time.monotonic() - (before[-1] if before else 0.0)
         self._board = SummaryWriter(str(folder), purge_step=start)
         self._bar = tqdm(total=steps, initial=start, unit="step", dynamic_ncols=True)
         self._sums: dict[str, torch.Tensor] = {}
@@ -45,22 +50,25 @@ class RunLog:
         self._bar.close()
         self._board.close()
 
-    def add(self, step: int, terms: dict[str, torch.Tensor], *, gaussians: int) -> None:
+    def add(
+        self, step: int, terms: dict[str, torch.Tensor], *, gaussians: int, test_psnr: float | None = None
+    ) -> None:
         """Add one step's detached scalars.
 
-        Their means are written every LOG_EVERY steps, and at the last one.
+        Their means are written every LOG_EVERY steps, at the last one, and where test frames were looked at.
 
         Args:
             step: Number of steps done.
             terms: Loss terms and ``mse``, the mean squared error of the image.
             gaussians: N.
+            test_psnr: Of some test frames after this step, dB; None where nobody looked.
         """
         for name, value in terms.items():
             self._sums[name] = self._sums[name] + value if name in self._sums else value
         self._count += 1
         self._bar.update()
-        if step % LOG_EVERY == 0 or step == self._last:
-            self._write(step, gaussians)
+        if step % LOG_EVERY == 0 or step == self._last or test_psnr is not None:
+            self._write(step, gaussians, test_psnr)
 
     def preview(self, step: int, rendering: Rendering, target: Target, light: Environment) -> None:
         """Write one preview grid: image | truth | albedo | normal | specular light | the light itself."""
@@ -68,7 +76,7 @@ class RunLog:
         write_png(self._previews / f"{step:06d}.png", grid)
         self._board.add_image("preview", grid, step, dataformats="HWC")
 
-    def _write(self, step: int, gaussians: int) -> None:
+    def _write(self, step: int, gaussians: int, test_psnr: float | None) -> None:
         names = list(self._sums)
         means = dict(
             zip(
@@ -76,14 +84,17 @@ class RunLog:
             )
         )
         psnr = -10.0 * float(np.log10(max(means.pop("mse"), 1e-12)))
-        line = {"step": step, "loss": sum(means.values()), "psnr": psnr, "gaussians": gaussians, **means}
+        shown = {"loss": sum(means.values()), "psnr": psnr, "gaussians": gaussians, **means}
+        test = {} if test_psnr is None else {"test_psnr": test_psnr}
+        line = {"step": step, "seconds": round(time.monotonic() - self._began, 3), **shown, **test}
         with self._metrics.open("a", encoding="utf-8") as file:
             file.write(json.dumps(line) + "\n")
-        for name, value in line.items():
-            if name != "step":
-                self._board.add_scalar(f"train/{name}", value, step)
+        for name, value in shown.items():
+            self._board.add_scalar(f"train/{name}", value, step)
+        if test_psnr is not None:
+            self._board.add_scalar("test/psnr", test_psnr, step)
         self._bar.set_postfix_str(
-            f"loss {line['loss']:.4f}, PSNR {psnr:.2f} dB, {gaussians} Gaussians", refresh=False
+            f"loss {shown['loss']:.4f}, PSNR {psnr:.2f} dB, {gaussians} Gaussians", refresh=False
         )
         self._sums, self._count = {}, 0
 

@@ -65,7 +65,8 @@ def score(
             frame = sequence.frames[index]
             camera = frame.camera.with_longer_side(plan.settings.resolution)
             size = {"width": camera.width, "height": camera.height}
-            rendering = avatar.render(frame.parameters, camera, light)
+            # an avatar that painted its light's shadows into the rest casts none under that light
+            rendering = avatar.render(frame.parameters, camera, light, shadows=avatar.settings.visibility)
             prediction = torch.from_numpy(to_uint8(rendering.image.cpu().numpy())).float() / 255.0
             # not the cache's mask: at its 16 bits, pixels covered by exactly one half would count as
             # foreground

@@ -10,6 +10,7 @@ import torch
 from samira_warp.avatar import Avatar, Gaussians, Rendering, geometry_uv
 from samira_warp.data import Frame, PixelCache, TrackedSequence
 from samira_warp.evaluate.lpips import Lpips
+from samira_warp.evaluate.metrics import psnr
 from samira_warp.geometry.camera import Camera
 from samira_warp.geometry.mesh import face_areas
 from samira_warp.head import FrameParameters
@@ -42,6 +43,9 @@ PREFETCH = 8
 
 JITTER_STREAM = 1 << 40
 """Added to the seed of what the network sees, which then has nothing to do with the background's."""
+
+TEST_VIEWS = 4
+"""Test frames, evenly spaced, that are looked at on the way; the run's results are over all of them."""
 
 SETTLING_VIEWS = 96
 """Training frames, evenly spaced, that tell what was seen."""
@@ -92,8 +96,10 @@ class Trainer:
             while self.step < self.schedule.steps and not stop.asked:
                 self._prefetch()
                 rendering, target, terms = self.train_step()
-                log.add(self.step, terms, gaussians=len(self.avatar.gaussians))
-                if self.step % self.settings.preview_every == 0 or self.step == self.schedule.steps:
+                shows = self.step % self.settings.preview_every == 0 or self.step == self.schedule.steps
+                test_psnr = self.test_psnr() if shows else None
+                log.add(self.step, terms, gaussians=len(self.avatar.gaussians), test_psnr=test_psnr)
+                if shows:
                     log.preview(self.step, rendering, target, self.avatar.light.environment())
                 if self.step % self.settings.checkpoint_every == 0 or self.step == self.schedule.steps:
                     self.save(folder, record)
@@ -118,6 +124,17 @@ class Trainer:
         )
         guess_unseen(self.avatar, look(self.avatar, views), self.known.neighbours)
         forget_gaussians(self.optimizer, self.avatar.gaussians.guessed)
+
+    @torch.no_grad()
+    def test_psnr(self) -> float:
+        """Mean PSNR of a few test frames as the avatar is now, dB; nothing is learned from them."""
+        light, found = self.avatar.light(), []
+        for index in spread_out(self.sequence.test, TEST_VIEWS):
+            frame = self.sequence.frames[index]
+            shadows = self.avatar.settings.visibility
+            rendering = self.avatar.render(frame.parameters, self.camera(frame), light, shadows=shadows)
+            found.append(psnr(rendering.image.cpu().clamp(0.0, 1.0), self.pixels[index].image))
+        return float(torch.stack(found).mean())
 
     def train_step(self) -> tuple[Rendering, Target, dict[str, torch.Tensor]]:
         """One frame forward, backward and updated.

@@ -92,6 +92,8 @@ def _missing(state: State) -> list[str]:
         missing.append("materials of more than one region; the first is")
     if state.comparison.of != "nothing":
         missing.append("what is beside it")
+    if state.splats:
+        missing.append("splats, which the browser draws in its own way")
     return missing
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -15,9 +14,9 @@ from samira_warp.avatar import Avatar
 from samira_warp.io.files import read_json
 from samira_warp.support.errors import UserError
 from samira_warp.train.begun import CONFIG_FILE
+from samira_warp.train.metrics import read_metrics
 from samira_warp.view.runs import newest_avatar
 
-METRICS_FILE = "metrics.jsonl"
 EVERY = 2.0
 """Seconds between two looks at the folder."""
 
@@ -38,18 +37,8 @@ class Progress(NamedTuple):
     @classmethod
     def read(cls, run: Path, *, shown: Path) -> Progress:
         """What the run has written so far; a line that is being written is left for the next time."""
-        path = run / METRICS_FILE
-        texts = path.read_text(encoding="utf-8").split("\n")[:-1] if path.is_file() else []
-        lines = []
-        for text in texts:
-            try:
-                line = json.loads(text)
-            except ValueError:
-                continue
-            if isinstance(line, dict) and isinstance(line.get("step"), int):
-                lines.append(line)
         steps = read_json(run / CONFIG_FILE).get("steps")
-        return cls(steps if isinstance(steps, int) else 0, tuple(lines), shown.name)
+        return cls(steps if isinstance(steps, int) else 0, read_metrics(run), shown.name)
 
     def curve(self, name: str) -> tuple[np.ndarray, np.ndarray]:
         """Steps and values, (n,) float64 each, of one number; one point at 0 before the first."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import math
 import tempfile
 from dataclasses import replace
@@ -10,9 +9,9 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from PIL import Image
 from scipy.spatial.transform import Rotation
 
+from samira_warp.io.images import encode_png
 from samira_warp.stage.video import VideoWriter
 from samira_warp.stage.viewpoint import HeadPlace
 from samira_warp.view.look import Look
@@ -35,7 +34,7 @@ def snapshot(session: Session) -> Job:
     state, (width, height) = session.state, session.window
     wide, high = fit(SNAPSHOT_SCALE * width, SNAPSHOT_SCALE * height, longer=LARGEST_SNAPSHOT)
     session.screen.download(
-        "snapshot.png", png(session.scene.picture(state, Sides.new(), width=wide, height=high))
+        "snapshot.png", encode_png(session.scene.picture(state, Sides.new(), width=wide, height=high))
     )
     yield
 
@@ -68,10 +67,3 @@ def turned_by(state: State, degrees: float, *, turning: Turning, place: HeadPlac
     x, y, z, w = (turn * Rotation.from_quat([x, y, z, w])).as_quat().tolist()
     px, py, pz = position.tolist()
     return replace(state, look=Look((px, py, pz), (w, x, y, z), state.look.fov))
-
-
-def png(picture: np.ndarray) -> bytes:
-    """(H, W, 3) uint8 as the bytes of a PNG file."""
-    file = io.BytesIO()
-    Image.fromarray(picture).save(file, "PNG")
-    return file.getvalue()

@@ -6,9 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import viser
+from PIL import ImageColor
 
 from samira_warp.view.config import ViewConfig
 from samira_warp.view.session import Session
+from samira_warp.view.splats import SPLAT_UNITS, BrowserSplats
 from samira_warp.view.state import State
 from samira_warp.view.tabs.appearance import AppearanceTab
 from samira_warp.view.tabs.camera import CameraControls
@@ -31,6 +33,8 @@ class Panel:
         self._play: PlayTab | None = None
         self._save: SaveTab | None = None
         self._training: TrainingTab | None = None
+        self._splats: viser.GaussianSplatHandle | None = None
+        self._behind: str | None = None
 
     def fill(self, session: Session, config: ViewConfig, progress: Progress | None) -> None:
         """Make the tabs."""
@@ -60,6 +64,28 @@ class Panel:
         """Show a picture (H, W, 3) uint8, stretched over the window."""
         self._client.scene.set_background_image(picture, format="jpeg", jpeg_quality=quality)
         self._client.flush()
+
+    def show_splats(self, splats: BrowserSplats, *, background: str) -> None:
+        """Have the browser draw splats in place of pictures, before white, black or a colour #rrggbb."""
+        scene, color = self._client.scene, "white" if background == "env" else background
+        geometry = SPLAT_UNITS * splats.centers, SPLAT_UNITS**2 * splats.covariances
+        if self._splats is None:
+            self._splats = scene.add_gaussian_splats(
+                "/splats", *geometry, splats.colors, splats.opacities, scale=1.0 / SPLAT_UNITS
+            )
+        else:
+            self._splats.set_gaussians(*geometry, splats.colors, splats.opacities)
+        if color != self._behind:
+            self._behind = color
+            plain = np.full((8, 8, 3), ImageColor.getrgb(color), np.uint8)
+            scene.set_background_image(plain, format="png")
+        self._client.flush()
+
+    def hide_splats(self) -> None:
+        """Draw them no more."""
+        if self._splats is not None:
+            self._splats.remove()
+        self._splats = self._behind = None
 
     def say(self, title: str, text: str) -> None:
         """Show a line of words for a while."""

@@ -24,6 +24,7 @@ from samira_warp.surface import LIGHT_CHANNELS
 from samira_warp.view.carried import Carrier
 from samira_warp.view.lights import Detail, Lights
 from samira_warp.view.posing import Poser
+from samira_warp.view.splats import BrowserSplats, shaded_splats
 from samira_warp.view.stages import Stages
 from samira_warp.view.state import Light, Pose, State
 
@@ -102,6 +103,27 @@ class Scene:
     ) -> Rendering:
         """The shaded left part of what is chosen, through a camera."""
         return self._rendering(self.shown, state, stages, camera, detail=detail)
+
+    @torch.no_grad()
+    def splats(self, state: State, stages: Stages, *, detail: Detail = "full") -> BrowserSplats:
+        """The avatar that is chosen as splats, shaded for an eye where the camera is."""
+        avatar, light = self.shown.avatar, state.light
+        camera = state.look.camera(1, 1).to(self.device)
+        posed = (avatar, state.pose)
+        motion = stages.motion.get(posed, lambda: avatar.move(self.shown.parameters(state.pose)))
+        lit, arrival = self.lights.lit(avatar, light, detail=detail), None
+        if self.casts_shadows(avatar, light):
+            occlusion = stages.occlusion.get(posed, lambda: avatar.occluder.occlude(motion.head))
+            arrival = avatar.arrival(occlusion, lit.filtered, camera)
+        return shaded_splats(
+            avatar,
+            motion,
+            lit.filtered,
+            eye=camera.center,
+            arrival=arrival,
+            edits=state.edits,
+            tone_map=self.tone_map(avatar, state),
+        )
 
     @torch.no_grad()
     def place(self, state: State) -> HeadPlace:

@@ -15,9 +15,11 @@ from typing import Protocol
 import numpy as np
 
 from samira_warp.support.errors import UserError
+from samira_warp.view.lights import Detail
 from samira_warp.view.look import Look
 from samira_warp.view.scene import Scene, Sides
 from samira_warp.view.sizes import MovingSize, fit
+from samira_warp.view.splats import BrowserSplats
 from samira_warp.view.state import State
 
 AT_REST = 0.25
@@ -32,6 +34,12 @@ class Screen(Protocol):
 
     def show(self, picture: np.ndarray, *, quality: int) -> None:
         """Show a picture (H, W, 3) uint8, stretched over the window."""
+
+    def show_splats(self, splats: BrowserSplats, *, background: str) -> None:
+        """Have the browser draw splats in place of pictures, before white, black or a colour #rrggbb."""
+
+    def hide_splats(self) -> None:
+        """Draw them no more."""
 
     def say(self, title: str, text: str) -> None:
         """Show a line of words for a while."""
@@ -74,6 +82,8 @@ class Session:
         self._fps, self._play_from, self._play_began, self._next_frame = 0.0, 0, 0.0, 0.0
         self._jobs: deque[Job] = deque()
         self._sides, self._size = Sides.new(), MovingSize()
+        self._avatar = 0  # how many were replaced
+        self._sent: tuple[int, State, Detail] | None = None  # what the browser's splats are of
         self.served = -math.inf
         """When its last picture was made; the longest ago is next."""
         self.pictures = 0
@@ -111,6 +121,7 @@ class Session:
     def refresh(self) -> None:
         """Make the picture again: the avatar is another one."""
         with self._lock:
+            self._avatar += 1
             self._touch()
         self._wake()
 
@@ -174,14 +185,24 @@ class Session:
             playing = self._fps > 0.0
             if playing:
                 self._advance()
-            version, state, (width, height) = self._version, self._state, self._window
+            version, state, window = self._version, self._state, self._window
             rests = self._shown == version and not playing
             # made or not, the same is not tried again
             self._shown = version
             if rests or playing:
                 self._rested = version
+        if state.splats:
+            self._send_splats(state, rests=rests)
+        else:
+            self._send_picture(state, window=window, rests=rests)
+        if playing:
+            self.screen.at_frame(state.pose.frame)
+        if rests:
+            self.screen.settled(state, height=window[1])
+
+    def _send_picture(self, state: State, *, window: tuple[int, int], rests: bool) -> None:
         longer = self._longest if rests else min(self._size.side, self._longest)
-        wide, high = fit(width, height, longer=longer)
+        wide, high = fit(*window, longer=longer)
         began = time.perf_counter()
         picture = self.scene.picture(
             state, self._sides, width=wide, height=high, detail="rest" if rests else "quick"
@@ -190,10 +211,25 @@ class Session:
             self._size.took(time.perf_counter() - began)
         self.pictures += 1
         self.screen.show(picture, quality=REST_QUALITY if rests else QUICK_QUALITY)
-        if playing:
-            self.screen.at_frame(state.pose.frame)
-        if rests:
-            self.screen.settled(state, height=height)
+        if self._sent is not None:
+            self._sent = None
+            self.screen.hide_splats()
+
+    def _send_splats(self, state: State, *, rests: bool) -> None:
+        """The splats, where they are others than the browser has.
+
+        The browser follows its own camera: while that alone moves nothing is sent, and highlights wait.
+        """
+        avatar, sent = self._avatar, self._sent
+        asked: tuple[int, State, Detail] = (avatar, state, "rest" if rests else "quick")
+        if sent is not None:
+            waits = not rests and (avatar, replace(state, look=sent[1].look)) == sent[:2]
+            if waits or asked == sent:
+                return
+        splats = self.scene.splats(state, self._sides.left, detail=asked[2])
+        self._sent = asked
+        self.pictures += 1
+        self.screen.show_splats(splats, background=state.background)
 
     def _advance(self) -> None:
         """The frame of this moment; frames are left out where pictures take longer than they."""

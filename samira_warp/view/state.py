@@ -102,6 +102,7 @@ class State:
         tone_map: "auto" is filmic for a map, and none for the learned light.
         background: white, black, #rrggbb, or env.
         comparison: What is beside it.
+        splats: Let the browser draw the avatar as splats: neither layers nor what is beside it.
     """
 
     look: Look
@@ -112,3 +113,4 @@ class State:
     tone_map: Literal["auto"] | ToneMap = "auto"
     background: str = "white"
     comparison: Comparison = field(default_factory=Comparison)
+    splats: bool = False

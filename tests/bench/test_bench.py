@@ -161,6 +161,8 @@ def test_avatar_rows_time_only_what_is_not_cached(brief):
 def test_viewer_rows_are_of_all_that_can_be_moved(brief):
     rows = view.measure(torch.device("cpu"), size=24)
     assert [row["moves"] for row in rows] == list(view.MOVES)
+    rows = view.measure_splats(torch.device("cpu"))
+    assert [row["moves"] for row in rows] == [move for move in view.MOVES if move != "camera"]
     assert all(row["picture_ms"] > 0 and row["jpeg_ms"] > 0 for row in rows)
     for row in rows:
         assert row["pictures_per_second"] == pytest.approx(1e3 / (row["picture_ms"] + row["jpeg_ms"]))

@@ -98,6 +98,16 @@ def test_metrics_end_with_the_last_step(tiny_run):
     assert all(math.isfinite(value) for value in last.values())
 
 
+def test_metrics_tell_the_time_and_the_psnr_of_test_frames(tiny_run):
+    """There are two test frames, so that what is measured at the end is what is reported, but for 8 bits."""
+    metrics, results = lines(tiny_run / "metrics.jsonl"), json.loads((tiny_run / "results.json").read_text())
+    assert [line["step"] for line in metrics if "test_psnr" in line] == [3, STEPS]
+    # half a level of 255 moves an error of 0.1 (20 dB) by at most 2 %, 0.17 dB
+    assert metrics[-1]["test_psnr"] == pytest.approx(results["psnr"], abs=0.17)
+    seconds = [line["seconds"] for line in metrics]
+    assert 0.0 < seconds[0] < seconds[-1]
+
+
 def test_results_score_the_test_frames_and_name_the_protocol(tiny_run):
     results = json.loads((tiny_run / "results.json").read_text())
     assert set(results["frames"]) == {"00004_00", "00005_00"}

@@ -301,7 +301,10 @@ def test_a_finished_run_is_extended(tiny_run, tmp_path, capsys, option):
     assert train_command("--out", folder, "--resume", option, value) == 0
     record = json.loads((folder / "config.json").read_text())
     assert (record["steps"], record["earlier_lengths"]) == (steps, [[6, 6]])
-    assert [line["step"] for line in metrics(folder)] == [6, steps]
+    # as often as a preview is made, and at the ends
+    assert [line["step"] for line in metrics(folder)] == [3, 6, 9, steps]
+    seconds = [line["seconds"] for line in metrics(folder)]
+    assert seconds == sorted(seconds)
     # what had begun before stays on, although the new length has it begin later
     assert {"normal_prior", "response"} <= set(metrics(folder)[-1])
     assert checkpoints(folder)[-1] == f"step_{steps:06d}"

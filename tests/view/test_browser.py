@@ -129,6 +129,19 @@ def press(page, label, key, *, times):
         page.key(key)
 
 
+def tick(page, label):
+    """Click the checkbox of a label."""
+    x, y = page.until(
+        "(() => { for (const label of document.querySelectorAll('label')) {"
+        f" if (label.innerText.trim() !== {label!r}) continue;"
+        " for (let row = label; row; row = row.parentElement) {"
+        " const box = row.querySelector('input[type=checkbox]'); if (!box) continue;"
+        " box.scrollIntoView({block: 'center'}); const b = box.getBoundingClientRect();"
+        " return [b.x + b.width / 2, b.y + b.height / 2]; } } })()"
+    )
+    page.click(x, y)
+
+
 def open_tab(page, name):
     x, y = page.until(
         "(() => { for (const tab of document.querySelectorAll('[role=tab]')) {"
@@ -210,6 +223,26 @@ def test_two_browsers_choose_for_themselves_and_one_may_vanish(opened, server, b
     open_tab(page, "Face")
     press(page, "head, nod", "ArrowRight", times=10)
     until(lambda: session.state.pose.joints != ())
+    rest(session)
+    assert_shows(page, shown, session)
+
+
+def test_the_browser_draws_splats(opened, shown):
+    """They are shaded before they are blended, without what of the head hides them: nearly the picture."""
+    page, session = opened()
+    open_tab(page, "Look")
+    tick(page, "Splats, drawn by the browser")
+    until(lambda: session.state.splats)
+    rest(session)
+    until(lambda: abs(seen(page) - wanted(shown, session)).mean() < 8.0)
+    # turned by the browser alone: nothing is made until its camera rests
+    look = session.state.look
+    page.drag(400, 360, 120, 0)
+    until(lambda: session.state.look.wxyz != look.wxyz)
+    rest(session)
+    until(lambda: abs(seen(page) - wanted(shown, session)).mean() < 8.0)
+    tick(page, "Splats, drawn by the browser")
+    until(lambda: not session.state.splats)
     rest(session)
     assert_shows(page, shown, session)
 

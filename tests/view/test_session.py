@@ -50,6 +50,10 @@ class Theatre:
         self.made.append((state, width, height, detail))
         return np.full((height, width, 3), state.pose.frame, np.uint8)
 
+    def splats(self, state, stages, *, detail="full"):
+        self.made.append((state, detail))
+        return len(self.made)
+
     def place(self, state):
         return HeadPlace(torch.zeros(3), torch.eye(3))
 
@@ -60,6 +64,12 @@ class Screen:
 
     def show(self, picture, *, quality):
         self.shown.append((picture, quality))
+
+    def show_splats(self, splats, *, background):
+        self.shown.append((splats, background))
+
+    def hide_splats(self):
+        self.shown.append("hidden")
 
     def say(self, title, text):
         self.said.append(text)
@@ -99,6 +109,37 @@ def test_a_picture_is_quick_first_and_fine_when_it_rests():
     assert session.screen.rested == [(session.state, 800)]
     session.change(lambda state: state)
     assert session.due() == float("inf")
+
+
+def test_splats_are_sent_when_they_change_and_not_while_the_camera_moves():
+    session = begin()
+    settle(session)
+    session.screen.shown.clear()
+    session.scene.made.clear()
+    session.change(lambda state: replace(state, splats=True, background="black"))
+    settle(session)
+    assert [detail for _, detail in session.scene.made] == ["quick", "rest"]
+    assert session.screen.shown == [(1, "black"), (2, "black")]
+    # the camera alone: nothing until it rests, then highlights where it sees them
+    look = START.look._replace(fov=30.0)
+    session.see(look, width=1600, height=800)
+    session.work()
+    assert len(session.screen.shown) == 2
+    settle(session)
+    assert session.scene.made[2:] == [(replace(session.state, look=look), "rest")]
+    session.change(lambda state: replace(state, light=replace(state.light, rotate=5.0)))
+    settle(session)
+    assert [detail for _, detail in session.scene.made[3:]] == ["quick", "rest"]
+    # another avatar in the same state
+    session.refresh()
+    settle(session)
+    assert len(session.scene.made) == 7
+    # pictures again: the first is there before the splats are gone
+    session.screen.shown.clear()
+    session.change(lambda state: replace(state, splats=False))
+    settle(session)
+    picture, hidden, finer = session.screen.shown
+    assert (picture[1], hidden, finer[1]) == (80, "hidden", 92)
 
 
 def test_choices_that_were_overtaken_are_not_shown():

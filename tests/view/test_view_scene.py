@@ -8,6 +8,7 @@ import torch
 
 from samira_warp.avatar import Avatar, MaterialEdit, read_frames
 from samira_warp.avatar.storage import find_avatar
+from samira_warp.export.splats import frame_splats
 from samira_warp.io.images import read_image, to_uint8, write_exr
 from samira_warp.light import Environment
 from samira_warp.light.cross import cube_to_cross
@@ -19,6 +20,7 @@ from samira_warp.view.lights import Lights
 from samira_warp.view.look import Look
 from samira_warp.view.posing import Poser, expression_controls, joint_controls
 from samira_warp.view.scene import Scene, Shown, Sides
+from samira_warp.view.splats import SPLAT_UNITS
 from samira_warp.view.stages import Stages
 from samira_warp.view.state import Comparison, Lamp, Light, Pose, State
 
@@ -281,3 +283,34 @@ def test_controls_turn_joints_that_are_there(shown):
     controls = joint_controls(template)
     assert {joint for control in controls for joint in control.joints} == set(template.joint_names)
     assert [control.joints for control in controls if control.label == "head, turn"] == [("root",)]
+
+
+def test_splats_are_those_that_export_writes(scene, start):
+    """With the same colours under the same light, and covariances that half floats in decimetres keep."""
+    state = replace(start, light=Light("day", rotate=40.0), tone_map="none")
+    splats = scene.splats(state, Sides.new().left)
+    avatar, frame = scene.shown.avatar, scene.shown.poser.frames[start.pose.frame]
+    camera = start.look.camera(SIDE, SIDE)
+    light = scene.lights.lit(avatar, state.light, detail="full").filtered
+    with torch.no_grad():
+        theirs = frame_splats(avatar, frame._replace(camera=camera), light)
+    np.testing.assert_array_equal(splats.centers, theirs.means.numpy())
+    colors = theirs.colors.clamp(0.0, 1.0).numpy()
+    # rounded to the nearest of 256; twice the rounding of float32 in another order
+    np.testing.assert_allclose(splats.colors / 255.0, colors, atol=0.5 / 255.0 + 1e-6)
+    assert splats.colors.std() > 5.0
+    opacities = theirs.opacity_logits.detach().sigmoid().numpy()[:, None]
+    np.testing.assert_allclose(splats.opacities / 255.0, opacities, atol=0.5 / 255.0 + 1e-6)
+    w, *xyz = torch.nn.functional.normalize(theirs.quaternions.double(), dim=1).unbind(dim=1)
+    axis, turned = torch.stack(xyz, dim=1), []
+    for unit in torch.eye(3, dtype=torch.float64):
+        twice = 2.0 * torch.linalg.cross(axis, unit.expand_as(axis))
+        turned.append(unit + w[:, None] * twice + torch.linalg.cross(axis, twice))
+    columns = torch.stack(turned, dim=2) * theirs.scales.double()[:, None, :]
+    covariances = (columns @ columns.mT).numpy()
+    # eight roundings of float32, of the largest variance of a Gaussian
+    bound = 8 * 2.0**-24 * np.abs(covariances).max(axis=(1, 2), keepdims=True)
+    assert (np.abs(splats.covariances - covariances) <= bound).all()
+    sent = (SPLAT_UNITS**2 * splats.covariances).astype(np.float16).astype(np.float64)
+    # half floats move an eigenvalue by 2^-11 of the largest, which makes none of these flat splats inside out
+    assert (np.linalg.eigvalsh(sent)[:, 0] > -(2.0**-10) * np.linalg.eigvalsh(sent)[:, 2]).all()

@@ -37,6 +37,9 @@ class AppearanceTab:
 
         chooses(background, session, behind)
         chooses(colour, session, behind)
+        hint = "Each is shaded where it is; the browser turns them without this process."
+        splats = gui.add_checkbox("Splats, drawn by the browser", False, hint=hint)
+        chooses(splats, session, lambda s, value: replace(s, splats=bool(value)))
         with gui.add_folder("Materials"):
             Materials(gui, session)
 
