@@ -77,7 +77,7 @@ class RegionModulators(nn.Module):
         project = self.project.weight.view(count, channels, -1)
         # patches are tap by tap, a convolution's weights channel by channel
         mix = self.mix.weight.view(count, channels, channels, TAPS).transpose(2, 3).flatten(2)
-        mix_bias, out_bias = self.mix.bias.view(count, -1), self.out.bias.view(count, -1)
+        mix_bias, out_bias = (part.get_parameter("bias").view(count, -1) for part in (self.mix, self.out))
         out = self.out.weight.view(count, channels, channels)
         texels = features[0].flatten(1).T.index_select(0, order.texels).split(order.counts)
         own = torch.cat([rows @ w.T for rows, w in zip(texels, project, strict=True)])
