@@ -12,7 +12,8 @@ from pathlib import Path
 import numpy as np
 from plyfile import PlyData, PlyElement
 
-from samira_warp.export.splats import Splats
+from samira_warp.export.source import ExportSource
+from samira_warp.export.splats import Splats, frame_splats
 
 SH_DEGREE_0 = 0.28209479177387814
 """The constant spherical harmonic, 1 / (2 sqrt(pi)): viewers show 0.5 + SH_DEGREE_0 * f_dc."""
@@ -21,13 +22,21 @@ COMMENTS = ("axes: x to the head's left, y up, z to the front", "unit: metre")
 """What no column says. Most scenes of 3DGS have y down: some viewers turn every file over (docs/using.md)."""
 
 
-def write_ply(splats: Splats, path: Path) -> None:
-    """Write splats where ``path`` says."""
+def write(source: ExportSource, path: Path) -> str:
+    """Write the chosen frame."""
+    (frame,) = source.chosen
+    splats = frame_splats(source, frame)
+    write_ply(splats, path, frame=frame.name)
+    return f"{len(splats.means):,} splats of frame {frame.name}"
+
+
+def write_ply(splats: Splats, path: Path, *, frame: str) -> None:
+    """Write the splats of a frame of that name where ``path`` says."""
     columns = splat_columns(splats)
     table = np.empty(len(splats.means), dtype=[(name, "f4") for name in columns])
     for name, values in columns.items():
         table[name] = values
-    PlyData([PlyElement.describe(table, "vertex")], comments=COMMENTS).write(str(path))
+    PlyData([PlyElement.describe(table, "vertex")], comments=[*COMMENTS, f"frame: {frame}"]).write(str(path))
 
 
 def splat_columns(splats: Splats) -> dict[str, np.ndarray]:

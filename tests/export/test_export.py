@@ -55,13 +55,14 @@ def lights(tmp_path_factory):
 
 def test_a_frame_is_written_and_said(tiny_run, tmp_path):
     path = tmp_path / "frame.ply"
-    options = ["--avatar", tiny_run, "--format", "ply", "--frame", "1", "--out", path]
+    options = ["--avatar", tiny_run, "--format", "ply", "--frame", "1", "--albedo", "--out", path]
     verb = [sys.executable, "-m", "samira_warp.export", *options]
     done = subprocess.run(verb, capture_output=True, text=True, timeout=240, check=False)
     assert done.returncode == 0, done.stderr
     count, frame = len(Avatar.load(tiny_run).gaussians), read_frames(tiny_run)[1]
     assert done.stderr.splitlines()[-1] == f"{path}: {count:,} splats of frame {frame.name}"
     assert done.stdout == ""
+    assert f"comment frame: {frame.name}\n".encode() in path.read_bytes()
     shown = encode_srgb(Avatar.load(tiny_run).gaussians.albedo).detach()
     torch.testing.assert_close(colors(path), shown, atol=1e-6, rtol=0)
 
@@ -82,7 +83,7 @@ def test_under_a_white_furnace_a_splat_reflects_what_its_material_says(tiny_run,
     a' = a v / (1 - a (1 - o)): of a uniform light arrives what the sky leaves open, v = o, and bounces.
     """
     path = tmp_path / "lit.ply"
-    light = ("--env", lights / "white.exr", "--exposure", 0.5)
+    light = ("--env", lights / "white.exr", "--exposure", 0.5, "--tone-map", "none")
     assert export("--avatar", tiny_run, "--frame", 2, "--out", path, *light) == 0
     avatar, frame = Avatar.load(tiny_run), read_frames(tiny_run)[2]
     with torch.no_grad():
@@ -115,9 +116,9 @@ def test_a_light_turns(tiny_run, tmp_path, lights):
     assert means[-90] > 3 * means[90]
 
 
-def test_the_learned_light_is_its_avatars_folder(tiny_run, tmp_path):
+def test_the_learned_light_is_the_default(tiny_run, tmp_path):
     path = tmp_path / "lit.ply"
-    assert export("--avatar", tiny_run, "--out", path, "--env", tiny_run) == 0
+    assert export("--avatar", tiny_run, "--out", path) == 0
     avatar, frame = Avatar.load(tiny_run), read_frames(tiny_run)[0]
     with torch.no_grad():
         image = avatar.render(frame.parameters, frame.camera).image
@@ -128,22 +129,46 @@ def test_the_learned_light_is_its_avatars_folder(tiny_run, tmp_path):
 
 
 def test_every_format_of_the_options_has_a_writer():
-    assert set(get_args(Format)) == set(FORMATS)
+    assert list(get_args(Format)) == list(FORMATS)
+    assert all(name == entry.name for name, entry in FORMATS.items())
+
+
+def test_a_sequence_is_numbered_files_of_the_frames_that_are_asked_for(tiny_run, tmp_path, capsys):
+    folder = tmp_path / "film"
+    options = ("--avatar", tiny_run, "--format", "ply-sequence", "--albedo", "--out", folder)
+    assert export(*options, "--split", "train", "--frames", "1::2") == 0
+    assert sorted(path.name for path in folder.iterdir()) == ["frame_0000.ply", "frame_0001.ply"]
+    train = [frame for frame in read_frames(tiny_run) if frame.part == "train"]
+    avatar = Avatar.load(tiny_run)
+    for path, frame in zip(sorted(folder.iterdir()), train[1::2], strict=True):
+        with torch.no_grad():
+            means = avatar.move(frame.parameters).gaussians.means
+        np.testing.assert_array_equal(PlyData.read(str(path))["vertex"]["x"], means[:, 0].numpy())
+    capsys.readouterr()
+    assert export(*options, "--frames", "0") == 0
+    assert f"note: {folder} keeps 1 of an earlier sequence, such as frame_0001.ply" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
     ("options", "named"),
     [
-        (["--rotate", "30"], "--rotate: expected --env or --lights with it"),
-        (["--exposure", "2"], "--exposure: expected --env or --lights with it"),
+        (["--albedo", "--rotate", "30"], "--rotate: expected a light, found --albedo"),
+        (["--albedo", "--env", "white.exr"], "--env: expected a light, found --albedo"),
+        (["--albedo", "--exposure", "2"], "--exposure: expected a light, found --albedo"),
+        (["--frames", "0:2"], "--frames: expected a format of many frames, found --format ply"),
+        (["--format", "ply-sequence", "--frames", "7", "--out", "film"], "--frames: expected some of the 2"),
+        (["--format", "ply-sequence", "--frame", "0", "--out", "film"], "--frame: expected one frame's"),
+        (["--format", "ply-sequence", "--out", "white.exr"], "expected a folder"),
+        (["--out", "film"], "--format: expected ply or ply-sequence"),
         (["--env", "white.exr", "--rotate", "nan"], "--rotate: expected degrees"),
         (["--env", "white.exr", "--exposure", "-1"], "--exposure"),
         (["--env", "missing.exr"], "missing.exr"),
         (["--env", "maps"], "maps: expected a learned light"),
         (["--env", "white.exr", "white.exr", "white.exr"], "3 files"),
         (["--frame", "6"], "--frame: expected 0 to 5, found 6"),
-        (["--out", "frame.spz"], ".ply"),
-        (["--format", "spz"], "--format"),
+        (["--out", "frame.png"], "no formats whose files end in '.png'"),
+        (["--format", "ply", "--out", "frame.png"], "frame.png: expected a file name ending in .ply"),
+        (["--format", "obj"], "--format"),
     ],
     ids=lambda value: "=".join(value) if isinstance(value, list) else "",
 )
