@@ -4,6 +4,7 @@ import json
 import os
 import shutil
 import subprocess
+import sys
 
 import pytest
 from warm_start import warm_python
@@ -39,8 +40,10 @@ def export(place, *words, blocked=False):
     """The command's status, and its lines on standard error."""
     path = [str(place / "blocked")] if blocked else []
     path += [each for each in os.environ.get("PYTHONPATH", "").split(os.pathsep) if each]
+    # a warm process has loaded what is blocked
+    python = [sys.executable] if blocked else warm_python()
     done = subprocess.run(
-        [*warm_python(), "-m", "samira_warp", "export", *map(str, words)],
+        [*python, "-m", "samira_warp", "export", *map(str, words)],
         cwd=place,
         env={**os.environ, "PYTHONPATH": os.pathsep.join(path)},
         capture_output=True,
