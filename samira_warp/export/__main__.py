@@ -11,6 +11,7 @@ from samira_warp.support.cli import run
 
 def main(config: ExportConfig) -> None:
     """Write the file or the folder, and say what is in it."""
+    config.check()  # before torch is loaded, which takes seconds
     from samira_warp.export.run import export
 
     written = export(config)
