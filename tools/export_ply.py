@@ -1,6 +1,6 @@
 """Export one frame of an avatar as a 3DGS .ply, as ``samira-warp export`` does.
 
-usage: python tools/export_ply.py --avatar DIR [--frame N] --out FILE.ply
+usage: python tools/export_ply.py --avatar DIR [--frame N] [--albedo] --out FILE.ply
 """
 
 from __future__ import annotations

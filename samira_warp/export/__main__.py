@@ -1,4 +1,4 @@
-"""``samira-warp export``, or ``python -m samira_warp.export``: one frame of an avatar for other programs."""
+"""``samira-warp export``, or ``python -m samira_warp.export``: an avatar for other programs."""
 
 from __future__ import annotations
 
@@ -10,11 +10,12 @@ from samira_warp.support.cli import run
 
 
 def main(config: ExportConfig) -> None:
-    """Write the file, and say what is in it."""
+    """Write the file or the folder, and say what is in it."""
+    config.check()  # before torch is loaded, which takes seconds
     from samira_warp.export.run import export
 
-    exported = export(config)
-    print(f"{config.out}: {exported.splats:,} splats of frame {exported.frame}", file=sys.stderr)
+    written = export(config)
+    print(f"{config.out}: {written}", file=sys.stderr)
 
 
 def command(arguments: Sequence[str] | None = None, program: str = "python -m samira_warp.export") -> int:

@@ -7,52 +7,99 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from samira_warp.export.formats import FORMATS, ExportFormat, Format, format_of
 from samira_warp.support.errors import UserError
 from samira_warp.support.exposure import Exposure, check_exposure
+from samira_warp.support.tone_names import ToneMap
 
-Format = Literal["ply"]
-"""Kinds of files, by the suffix that they have; `samira_warp.export.formats` writes them."""
+SPZ_VERSION = 2
+"""The version of a .spz unless another is asked for."""
+
+SPZ_WITH_ZSTD = 4
+"""The version whose compression Python has no module for."""
 
 
 @dataclass(frozen=True)
 class ExportConfig:
-    """Write one frame of an avatar as a file that splat viewers open.
+    """Write an avatar for other programs (docs/exports.md).
 
-    Gaussians are in world space, after binding and residual. Without --env and --lights their colour is
-    their albedo; with them, what the frame's camera sees of each under that light, highlights and all.
+    Splats are in world space, after binding and residual, and have colours but no light: those that the
+    frame's camera sees under the learned light, under --env and --lights, or their --albedo.
     """
 
     avatar: Path
     """Avatar folder, or the run folder that it is in."""
     out: Path
-    """The file to write, whose name ends in the format's suffix."""
-    format: Format = "ply"
-    """ply: 3D Gaussian splatting's columns, as its viewers read them."""
-    frame: int = 0
-    """Which of the avatar's own frames, test frames first."""
+    """The file to write, or the folder."""
+    format: Format | None = None
+    """What to write; default what only one format's files are called as --out is."""
+    frame: int | None = None
+    """Which of the avatar's own frames, test frames first; default the first."""
+    frames: str | None = None
+    """For a sequence, which of the frames of --split, A:B:STEP as Python slices them; default all."""
+    split: Literal["train", "test"] | None = None
+    """For a sequence, which of the avatar's own frames; default the test frames."""
+    spz_version: Literal[2, 3, 4] | None = None
+    """Of a .spz: 4 is the newest; 2, the default, is what most programs open, and no worse
+    (docs/exports.md)."""
+    albedo: bool = False
+    """The colour of the materials alone, under no light."""
     env: tuple[Path, ...] = ()
     """Light: a map (.hdr, .exr; panorama or cube cross), a diffuse and a specular map, or an avatar's folder,
-    for the light that was learned with it."""
+    for the light that was learned with it; default the avatar's own."""
     lights: Path | None = None
     """Lamps, a .json file (docs/relighting.md): added to --env, or the only light."""
     ldr: bool = False
     """Take 8-bit pictures as environment maps, too."""
     rotate: float = 0.0
     """Degrees by which the light is turned about the vertical."""
-    exposure: Exposure = 1.0
-    """Factor on the light; auto makes its irradiance 1, averaged over all directions."""
+    exposure: Exposure | None = None
+    """Factor on the light; auto makes its irradiance 1, averaged over all directions. Default auto for a map
+    or lamps, whose brightness is anybody's, 1 for a learned light."""
+    tone_map: Literal["auto"] | ToneMap = "auto"
+    """filmic bends what is brighter than a display's white below it, none clips it where a format does; auto
+    is filmic for a map or lamps, and none for a learned light."""
+
+    @property
+    def kind(self) -> ExportFormat:
+        """The format that is asked for, or meant.
+
+        Raises:
+            UserError: Neither is clear.
+        """
+        return format_of(self.format, self.out)
 
     def check(self) -> None:
-        """Raise UserError unless the options can be used and the file written."""
-        check_exposure(self.exposure, name="--exposure")
+        """Raise UserError unless the options can be used, and the format's library and a place are there."""
+        self._check_light()
+        kind = self.kind
+        kind.check_target(self.out)
+        for option, given in (("--frames", self.frames), ("--split", self.split)):
+            if given is not None and kind.frames == "one":
+                found = f"--format {kind.name}, which holds one frame (--frame N)"
+                raise UserError(option, expected="a format of many frames", found=found)
+        if self.frame is not None and (kind.frames == "many" or self.frames or self.split):
+            raise UserError("--frame", expected="one frame's export", found="a sequence (--frames N for one)")
+        if self.spz_version is not None and kind.name != "spz":
+            raise UserError("--spz-version", expected="--format spz", found=f"--format {kind.name}")
+        if kind.name != "spz" or self.spz_version == SPZ_WITH_ZSTD:
+            kind.check_installed()
+
+    def _check_light(self) -> None:
+        if self.exposure is not None:
+            check_exposure(self.exposure, name="--exposure")
         if not math.isfinite(self.rotate):
             raise UserError("--rotate", expected="degrees", found=self.rotate)
-        for name, given in (("rotate", self.rotate != 0.0), ("exposure", self.exposure != 1.0)):
-            if given and not (self.env or self.lights):
-                raise UserError(f"--{name}", expected="--env or --lights with it, a light", found="none")
-        suffix = f".{self.format}"
-        if self.out.suffix != suffix:
-            found = self.out.suffix or "no suffix"
-            raise UserError(self.out, expected=f"a file name ending in {suffix}", found=found)
-        if not self.out.parent.is_dir():
-            raise UserError(self.out.parent, expected="an existing folder", found="no such folder")
+        needs_light = {
+            "--env": bool(self.env),
+            "--lights": self.lights is not None,
+            "--rotate": self.rotate != 0.0,
+            "--exposure": self.exposure is not None,
+            "--tone-map": self.tone_map != "auto",
+        }
+        for option, given in needs_light.items():
+            if given and self.albedo:
+                raise UserError(option, expected="a light", found="--albedo, which is the colour under none")
+
+
+__all__ = ["FORMATS", "ExportConfig", "Format"]

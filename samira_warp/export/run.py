@@ -1,53 +1,34 @@
-"""From an avatar's folder to a file for other programs."""
+"""From an avatar's folder to a file or a folder for other programs."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import torch
 
-from samira_warp.avatar import Avatar, read_frames
-from samira_warp.avatar.storage import find_avatar
 from samira_warp.export.config import ExportConfig
-from samira_warp.export.formats import FORMATS
-from samira_warp.export.splats import frame_splats
-from samira_warp.io.files import check_writable
-from samira_warp.light import LightRig
-from samira_warp.stage.frames import frame_at
-from samira_warp.stage.lights import read_light
-
-
-class Exported(NamedTuple):
-    """What was written.
-
-    Attributes:
-        splats: How many Gaussians.
-        frame: Name of the frame that they are of.
-    """
-
-    splats: int
-    frame: str
+from samira_warp.export.source import ExportSource
+from samira_warp.io.files import check_writable, provisional_folder, replace_folder, whole_file
 
 
 @torch.no_grad()
-def export(config: ExportConfig) -> Exported:
-    """Write one frame of an avatar.
+def export(config: ExportConfig) -> str:
+    """Write an avatar as its options say; whatever ends it, no file is left that is not whole.
+
+    Returns:
+        What was written, in a few words.
 
     Raises:
-        UserError: The avatar, the frame, the light or an option cannot be used.
+        UserError: The avatar, a frame, the light or an option cannot be used, or a library is missing.
     """
     config.check()
-    rig = None if config.lights is None else LightRig.load(config.lights)
     check_writable(config.out.parent)
-    folder = find_avatar(config.avatar)
-    avatar = Avatar.load(folder)
-    frame = frame_at(read_frames(folder), config.frame)
-    light = None
-    if config.env or rig is not None:
-        environment = read_light(
-            config.env, rig=rig, rotate=config.rotate, exposure=config.exposure, ldr=config.ldr
-        )
-        light = environment.filtered()
-    splats = frame_splats(avatar, frame, light)
-    FORMATS[config.format](splats, config.out)
-    return Exported(len(splats.means), frame.name)
+    source, kind = ExportSource.read(config), config.kind
+    write = kind.writer()
+    if kind.target == "files":
+        with provisional_folder(config.out):
+            return write(source, config.out)
+    if kind.target == "folder":
+        said: list[str] = []
+        replace_folder(config.out, lambda fresh: said.append(write(source, fresh)))
+        return said[0]
+    with whole_file(config.out) as fresh:
+        return write(source, fresh)

@@ -7,18 +7,22 @@ from typing import NamedTuple
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from samira_warp.avatar import Avatar, DrivingFrame, Motion
+from samira_warp.avatar import DrivingFrame, Motion
+from samira_warp.export.source import ExportSource
 from samira_warp.geometry.camera import Camera
-from samira_warp.light import FilteredLight, shade
+from samira_warp.light import FilteredLight, shade, to_display
+
+SH_DEGREE_0 = 0.28209479177387814
+"""The constant spherical harmonic, 1 / (2 sqrt(pi)): viewers show 0.5 + SH_DEGREE_0 times its coefficient."""
 
 
 class Splats(NamedTuple):
     """N Gaussians.
 
     Attributes:
-        means: (N, 3) metres, world space.
+        means: (N, 3) metres, world space: x to the head's left, y up, z to the front.
         normals: (N, 3) unit.
-        quaternions: (N, 4) w, x, y, z.
+        quaternions: (N, 4) unit; w, x, y, z.
         scales: (N, 3) standard deviations, metres.
         opacity_logits: (N,) opacities before the sigmoid.
         colors: (N, 3) display values, not clipped.
@@ -31,24 +35,42 @@ class Splats(NamedTuple):
     opacity_logits: Tensor
     colors: Tensor
 
+    @property
+    def harmonics(self) -> Tensor:
+        """(N, 3) coefficients of degree 0 for the colours."""
+        return (self.colors - 0.5) / SH_DEGREE_0
 
-def frame_splats(avatar: Avatar, frame: DrivingFrame, light: FilteredLight | None) -> Splats:
-    """The Gaussians of a frame, after binding and residual.
+    @property
+    def opacities(self) -> Tensor:
+        """(N,) opacities, 0 to 1."""
+        return self.opacity_logits.sigmoid()
 
-    Args:
-        avatar: The avatar.
-        frame: Pose, expression and camera, on the avatar's device.
-        light: What lights them, there as well; None leaves them the colour of their albedo.
-    """
+
+def frame_splats(source: ExportSource, frame: DrivingFrame) -> Splats:
+    """The Gaussians of a frame, after binding and residual, in the colours that its camera sees."""
+    avatar = source.avatar
     motion = avatar.move(frame.parameters)
     moved, own = motion.gaussians, avatar.gaussians
-    colors = avatar.display(own.albedo) if light is None else _lit(avatar, motion, frame.camera, light)
-    return Splats(moved.means, moved.normals, moved.quaternions, moved.scales, own.opacity_logits, colors)
+    light = source.filtered
+    colors = avatar.display(own.albedo) if light is None else _lit(source, motion, frame.camera, light)
+    return Splats(
+        moved.means,
+        moved.normals,
+        normalize(moved.quaternions, dim=1),
+        moved.scales,
+        own.opacity_logits,
+        colors,
+    )
 
 
-def _lit(avatar: Avatar, motion: Motion, camera: Camera, light: FilteredLight) -> Tensor:
-    """(N, 3) what a camera sees of every Gaussian, none of which hides another; the head casts shadows."""
+def _lit(source: ExportSource, motion: Motion, camera: Camera, light: FilteredLight) -> Tensor:
+    """(N, 3) what a camera sees of every Gaussian, none of which hides another."""
+    avatar = source.avatar
     view = normalize(camera.center - motion.gaussians.means, dim=1)
-    arrival = avatar.arrival(avatar.occluder.occlude(motion.head), light, camera)
+    arrival = None
+    if source.shadows:
+        arrival = avatar.arrival(avatar.occluder.occlude(motion.head), light, camera)
     surface = avatar.surface(motion, arrival=arrival)
-    return shade(surface, view, light, color_space=avatar.settings.color_space).image
+    color_space = avatar.settings.color_space
+    radiance = shade(surface, view, light, color_space=color_space).color
+    return to_display(radiance, color_space=color_space, tone_map=source.tone_map)

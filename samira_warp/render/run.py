@@ -25,7 +25,14 @@ from samira_warp.render.writing import display_values, left_over, write_layer
 from samira_warp.stage.background import Background
 from samira_warp.stage.layer_names import Layer
 from samira_warp.stage.layers import can_be_transparent, layer_image
-from samira_warp.stage.lights import is_foreign, read_light, read_sheet_light, sheet_labels, sheet_paths
+from samira_warp.stage.lights import (
+    read_light,
+    read_sheet_light,
+    sheet_labels,
+    sheet_paths,
+    suiting_exposure,
+    suiting_tone_map,
+)
 from samira_warp.stage.scene import PosedView, Scene
 from samira_warp.stage.sheet import contact_sheet
 from samira_warp.stage.turntable import plan_shots
@@ -33,8 +40,6 @@ from samira_warp.stage.video import VideoWriter, film_size
 from samira_warp.stage.viewpoint import parse_viewpoint
 from samira_warp.support.devices import pick_device
 from samira_warp.support.errors import UserError
-from samira_warp.support.exposure import Exposure
-from samira_warp.support.tone_names import ToneMap
 
 SHEET_NAME = "contact_sheet"
 
@@ -67,7 +72,8 @@ def render(config: RenderConfig) -> int:
     avatar = Avatar.load(folder, device=device)
     frames, (trained, *_) = select_frames(config, avatar, folder), read_frames(folder)
     views = place_cameras(config, avatar, frames, trained)
-    color_space, tone_map = avatar.settings.color_space, _tone_map(config, avatar, rig)
+    color_space = avatar.settings.color_space
+    tone_map = suiting_tone_map(config.tone_map, config.env, rig=rig, color_space=color_space)
     background = Background(config.background, color_space=color_space, tone_map=tone_map)
     shadows = _casts_shadows(config, avatar)
     scene = Scene(avatar, edits, background, shadows=shadows, tone_map=tone_map)
@@ -93,28 +99,6 @@ def _check_transparent(config: RenderConfig, *, sheet: bool) -> None:
             raise UserError(
                 option, expected="layers that show the head on something", found=f"--layers {layer}"
             )
-
-
-def _exposure(config: RenderConfig, rig: LightRig | None) -> Exposure:
-    """The factor that is asked for, or what suits the light."""
-    if config.exposure is not None:
-        return config.exposure
-    return "auto" if is_foreign(config.env, rig=rig) else 1.0
-
-
-def _tone_map(config: RenderConfig, avatar: Avatar, rig: LightRig | None) -> ToneMap:
-    """The tone map that is asked for, or what suits the light.
-
-    Raises:
-        UserError: It is asked of an avatar that works in image values.
-    """
-    raw = avatar.settings.color_space == "raw"
-    if config.tone_map == "auto":
-        return "filmic" if is_foreign(config.env, rig=rig) and not raw else "none"
-    if raw and config.tone_map != "none":
-        expected = "none for an avatar that shades in image values (train --color-space raw)"
-        raise UserError("--tone-map", expected=expected, found=config.tone_map)
-    return config.tone_map
 
 
 def _casts_shadows(config: RenderConfig, avatar: Avatar) -> bool:
@@ -190,10 +174,10 @@ def _render_sheet(
 def _light(config: RenderConfig, avatar: Avatar, rig: LightRig | None) -> Environment:
     """The light of an image sequence: what --env and --lights name, else the learned light."""
     if config.env or rig is not None:
-        exposure = _exposure(config, rig)
+        exposure = suiting_exposure(config.exposure, config.env, rig=rig)
         return read_light(config.env, rig=rig, rotate=config.rotate, exposure=exposure, ldr=config.ldr)
     learned = avatar.light.environment().turned(config.rotate)
-    return learned.exposed(_exposure(config, rig), name="the learned light")
+    return learned.exposed(suiting_exposure(config.exposure, config.env, rig=rig), name="the learned light")
 
 
 def _sheet_light(
@@ -204,7 +188,11 @@ def _sheet_light(
     All are read before the work on any begins, and none keeps its map, which may be large.
     """
     environment = read_sheet_light(
-        path, rig=rig, rotate=config.rotate, exposure=_exposure(config, rig), ldr=config.ldr
+        path,
+        rig=rig,
+        rotate=config.rotate,
+        exposure=suiting_exposure(config.exposure, config.env, rig=rig),
+        ldr=config.ldr,
     )
     environment = environment.to(scene.device)
     return replace(environment, backdrop=None), scene.behind(view, environment)

@@ -15,7 +15,7 @@ from samira_warp.avatar.storage import TEMPLATE_FILE, read_record
 from samira_warp.data import TrackedSequence, open_sequence
 from samira_warp.head import FrameParameters, HeadTemplate
 from samira_warp.render.config import RenderConfig
-from samira_warp.stage.frames import parse_frames
+from samira_warp.stage.frames import chosen_frames, parse_frames
 from samira_warp.support.errors import UserError
 
 
@@ -25,20 +25,14 @@ def select_frames(config: RenderConfig, avatar: Avatar, folder: Path) -> list[Dr
     Raises:
         UserError: There are none, or the sequence cannot drive the avatar.
     """
-    wanted, own = parse_frames(config.frames), read_frames(folder)
+    parse_frames(config.frames)  # before anything is read
+    own = read_frames(folder)
     driven = (
         _own(config, own, avatar.canonical.template)
         if config.data is None
         else _driven(config, config.data, avatar, folder, own)
     )
-    frames = list(driven)
-    chosen = frames[wanted]
-    if not chosen:
-        raise UserError(
-            "--frames",
-            expected=f"some of the {len(frames)} frames",
-            found=f"none in {config.frames or 'the split'}",
-        )
+    chosen = chosen_frames(list(driven), config.frames)
     longer = config.resolution or max(own[0].camera.width, own[0].camera.height)
     return [frame._replace(camera=frame.camera.with_longer_side(longer)) for frame in chosen]
 

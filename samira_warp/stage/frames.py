@@ -35,6 +35,19 @@ def parse_frames(text: str | None) -> slice:
     return slice(*numbers)
 
 
+def chosen_frames(frames: Sequence[Frame], text: str | None) -> Sequence[Frame]:
+    """The frames that ``--frames`` names, in its order.
+
+    Raises:
+        UserError: There are none, or it is not of its form.
+    """
+    chosen = frames[parse_frames(text)]
+    if not chosen:
+        found = f"none in {text or 'the split'}"
+        raise UserError("--frames", expected=f"some of the {len(frames)} frames", found=found)
+    return chosen
+
+
 def frame_at(frames: Sequence[Frame], number: int) -> Frame:
     """The frame that ``--frame`` names, counted from 0.
 

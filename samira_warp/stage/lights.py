@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Literal
 
-from samira_warp.light import Environment, LightRig
+from samira_warp.light import ColorSpace, Environment, LightRig
 from samira_warp.light.environment import DIFFUSE_FILE, SPECULAR_FILE, learned_pair
 from samira_warp.support.errors import UserError
 from samira_warp.support.exposure import Exposure
+from samira_warp.support.tone_names import ToneMap
 
 MAP_SUFFIXES = (".hdr", ".exr")
 """Files of a folder that are environment maps."""
@@ -61,6 +63,36 @@ def is_foreign(paths: Sequence[Path], *, rig: LightRig | None = None) -> bool:
     if rig is not None:
         return True
     return len(paths) == 1 and not (paths[0].is_dir() and _holds_learned_light(paths[0]))
+
+
+def suiting_exposure(
+    asked: Exposure | None, paths: Sequence[Path], *, rig: LightRig | None = None
+) -> Exposure:
+    """The factor that is asked for, or what suits the light; without paths and rig a learned one."""
+    if asked is not None:
+        return asked
+    return "auto" if is_foreign(paths, rig=rig) else 1.0
+
+
+def suiting_tone_map(
+    asked: Literal["auto"] | ToneMap,
+    paths: Sequence[Path],
+    *,
+    rig: LightRig | None = None,
+    color_space: ColorSpace,
+) -> ToneMap:
+    """The tone map that is asked for, or what suits the light; without paths and rig a learned one.
+
+    Raises:
+        UserError: It is asked of an avatar that works in image values.
+    """
+    raw = color_space == "raw"
+    if asked == "auto":
+        return "filmic" if is_foreign(paths, rig=rig) and not raw else "none"
+    if raw and asked != "none":
+        expected = "none for an avatar that shades in image values (train --color-space raw)"
+        raise UserError("--tone-map", expected=expected, found=asked)
+    return asked
 
 
 def sheet_paths(paths: Sequence[Path], *, ldr: bool = False) -> list[Path] | None:
