@@ -35,9 +35,9 @@ from samira_warp.vision.openness import own_openness
 OPENING = 8
 """Pictures of a face that the subject is found from, a third of a second: more of one pose tell no more."""
 
-OPENING_STEPS, FRAME_STEPS = 20, 3
-"""Steps of the two minimisations at most. A frame that begins at the one before is within a tenth of a pixel
-of where it ends after three."""
+OPENING_STEPS, FRAME_STEPS = 20, 2
+"""Steps of the two minimisations at most. A frame begins at the one before: the second step is for what
+jumps, such as lids."""
 
 KNOWN_FOCAL = 1e-3
 """Of the focal length's logarithm, one standard deviation: it is held where it is guessed. A few pictures of

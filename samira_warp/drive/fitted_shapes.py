@@ -18,7 +18,7 @@ import samira_warp
 from samira_warp.drive.arkit import NUMBER_OF, SHAPES
 from samira_warp.head.template import HeadTemplate
 
-RIDGE = 0.02
+RIDGE = 0.005
 """Of the squares of coefficients, as a share of the mean square of what one coefficient moves: what
 expressions do alike is shared among them, and none is driven far for a little."""
 

@@ -75,13 +75,9 @@ def test_a_fit_undoes_a_mixing(head):
     """The shapes are exactly in what the mixed expressions span: but for the ridge, nothing is left over."""
     mixing = np.linalg.qr(np.random.default_rng(0).normal(size=(head.n_expression,) * 2))[0]
     found = fit_shapes(numbered(head, mixing.astype(np.float32)))
-    exact = map_shapes(head).expression
-    known = [NUMBER_OF[name] for name in known_shapes().names if name != "jawOpen"]
-    # in the mean over the shapes the ridge takes a few per cent of a coefficient
-    undone = mixing @ found.expression[:, known]
-    assert np.abs(np.diag(undone.T @ exact[:, known]) / (exact[:, known] ** 2).sum(axis=0)).mean() > 0.8
-    assert found.left < 0.15
-    assert found.jaw[0, NUMBER_OF["jawOpen"]] > 0.7 * np.radians(JAW_OPEN)
+    # shapes that move landmarks alike share coefficients, and float16 has four digits
+    assert found.left < 0.03
+    assert found.jaw[0, NUMBER_OF["jawOpen"]] > 0.9 * np.radians(JAW_OPEN)
 
 
 def test_the_fit_is_said_and_moves_the_head(head, capsys):

@@ -1,6 +1,7 @@
 """Driving from outside: films, takes and phones to pictures and to the page, and what is refused."""
 
 import contextlib
+import itertools
 import signal
 import socket
 import subprocess
@@ -9,7 +10,7 @@ import time
 import numpy as np
 import pytest
 from films import write_film
-from subjects import render_command
+from subjects import TESTS, render_command
 from takes_written import datagram, write_take
 from warm_start import warm_python
 
@@ -18,6 +19,8 @@ from samira_warp.avatar import Avatar, read_frames
 from samira_warp.drive import DriveSettings, Performer, open_source, record
 from samira_warp.head import FrameParameters
 from samira_warp.io.images import read_image
+
+CLIP = TESTS.parents[1] / "shared" / "data" / "clips" / "clip_a.mp4"
 
 
 def refused(capsys, *words):
@@ -63,6 +66,24 @@ def test_a_film_drives_an_avatar(built_in_run, film, taken, tmp_path, capsys):
     # of the whole turn, the fitted head's is the true one's to a third: landmarks drag behind a profile
     assert 0.66 < np.ptp(turned.numpy()) / np.ptp(true.numpy()) < 1.33
     assert "no face" not in capsys.readouterr().err
+
+
+def test_a_clip_drives_an_avatar(built_in_run, face_networks, tmp_path):
+    """A real face, as far as there is one: it stays a face, and moves."""
+    if not CLIP.is_file():
+        pytest.skip(f"{CLIP.name} is absent: no part of the project")
+    avatar, own = Avatar.load(built_in_run), read_frames(built_in_run)
+    performer = Performer(avatar.canonical, own, DriveSettings(), pictures=True)
+    pictures = itertools.islice(open_source(str(CLIP)).frames(), 24)
+    frames = [performer.perform(seen) for picture in pictures for seen in performer.see(picture)]
+    assert len(frames) == 24
+    assert not any(frame.reason for frame in frames)
+    found = FrameParameters.stack([frame.parameters for frame in frames])
+    assert found.expression.min() >= -1e-6
+    assert found.expression.max() <= 1 + 1e-6
+    assert found.expression.std(dim=0).max() > 0.02
+    # smoothed, at 25 pictures a second or so: nobody's head turns by a tenth of a radian from one to the next
+    assert found.rotations.diff(dim=0)[:, performer.stance.turning].norm(dim=-1).max() < 0.1
 
 
 def test_a_film_without_a_face(built_in_run, face_networks, tmp_path, capsys):
