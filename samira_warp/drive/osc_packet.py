@@ -100,9 +100,9 @@ class OscFace:
             self._turns["LeftEye" if address == "/ELR" else "RightEye"] = turn_of(down, left, 0.0)
         elif address == "/VMC/Ext/Blend/Val":
             name, value = str(values[0]) if values else "", _numbers(address, values[1:], 1)[0]
-            number = NUMBER_OF.get(known_shape(name) or "", -1)
-            if number >= 0:
-                self._pending[number] = value
+            place = NUMBER_OF.get(known_shape(name) or "")
+            if place is not None:
+                self._pending[place] = value
             return False
         elif address == "/VMC/Ext/Blend/Apply":
             self._shapes = self._pending.copy()

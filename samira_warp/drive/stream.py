@@ -71,6 +71,8 @@ class Stream:
             performer: What makes poses of them.
         """
         self.source, self._performer = source, performer
+        self.latest: Performance | None = None
+        """The last pose; None before the first."""
         self._changed = threading.Condition()
         self._newest: tuple[float, FilmedPicture | FaceSignal] | None = None
         self._ended = self._neutral = False
@@ -179,6 +181,7 @@ class Stream:
             if not self._ended or performed[-1].reason:
                 self._reason = performed[-1].reason
             self._poses = [*self._poses[-MEMORY + 1 :], (now, now - arrived)]
+        self.latest = performed[-1]
         self._on_pose(performed[-1])
 
 

@@ -31,8 +31,8 @@ def read_text(packet: bytes, seconds: float) -> FaceSignal:
     Raises:
         ValueError: It is not of that layout; the message says where.
     """
-    shapes, turns = np.zeros(len(SHAPES)), {}
-    known = 0
+    shapes, known = np.zeros(len(SHAPES)), 0
+    turns: dict[str, np.ndarray] = {}
     for part in packet.decode("utf-8").split("|"):
         part = part.strip()
         if "#" in part:

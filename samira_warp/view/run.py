@@ -8,6 +8,7 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from types import FrameType
 from typing import TYPE_CHECKING
 
@@ -20,7 +21,8 @@ from samira_warp.view.scene import Scene, Shown
 from samira_warp.view.sources import load_second, load_shown
 
 if TYPE_CHECKING:
-    from samira_warp.drive.stream import Stream
+    from samira_warp.drive import Performance, Stream
+    from samira_warp.view.server import Server
 
 EVERY = 0.5
 """Seconds between two words on how what drives the avatar is."""
@@ -84,7 +86,7 @@ def serve(
         if stream is None:
             ended.wait()
         else:
-            stream.start(lambda pose: [session.drive(pose.parameters) for session in server.sessions()])
+            stream.start(partial(_drive, server))
             while not ended.wait(EVERY):
                 server.show_condition(stream.condition())
     finally:
@@ -93,6 +95,12 @@ def serve(
         if follower is not None:
             follower.end()
         server.end()
+
+
+def _drive(server: Server, pose: Performance) -> None:
+    """Show a pose to all browsers that follow."""
+    for session in server.sessions():
+        session.drive(pose.parameters)
 
 
 @contextmanager

@@ -147,6 +147,8 @@ class Server:
         session.see(
             look_of(client.camera), width=client.camera.image_width, height=client.camera.image_height
         )
+        if self._stream is not None and self._stream.latest is not None:
+            session.drive(self._stream.latest.parameters)
         self._turns.join(session)
         with self._lock:
             self._browsers[client.client_id] = (session, panel)

@@ -80,7 +80,9 @@ def test_a_head_goes_as_the_true_one_does(middle, beside):
     """Relative to its neutral one, whatever landmarks err by alike in all pictures.
 
     A fifth of a pixel of noise on each of 478 landmarks is a hundredth of a pixel on the head, and a
-    thousandth of a radian; what is left is that the person was found from one pose alone.
+    thousandth of a radian. What is left is that one pose, from which the person is found, does not tell how
+    deep landmarks lie: with two pixels of 256 beside their places, as networks are on faces, a fifth of the
+    turn.
     """
     true = truth()
     found = tracked(seen(true, beside=beside))
@@ -91,7 +93,7 @@ def test_a_head_goes_as_the_true_one_does(middle, beside):
     moved = turns[first].inv() * turns[last]
     right = wanted[first].inv() * wanted[last]
     assert right.magnitude() > 0.25
-    assert (moved.inv() * right).magnitude() < 0.06
+    assert (moved.inv() * right).magnitude() < 0.25 * right.magnitude()
     jaw = head().rig.joint_names.index("jaw")
     opened = torch.stack([one.parameters.rotations[jaw, 0] for one in found])
     true_jaw = true.frames[:, true.layout.turn(jaw).start]

@@ -111,6 +111,7 @@ def test_a_source_that_ends_says_so_and_holds(stream):
     stream.source.items.put(None)
     until(lambda: stream.condition().ended)
     assert times(poses) == [1]
+    assert stream.latest is poses[-1], "for browsers that come later"
     assert stream.condition().words("it") == "**`it` has ended**. The last pose is held."
 
 
