@@ -17,8 +17,11 @@ def main(config: BenchConfig) -> None:
 
     if config.hdri is not None and config.what != "light":
         raise UserError("--hdri", expected="bench light", found=f"bench {config.what}")
+    if config.film is not None and config.what != "drive":
+        raise UserError("--film", expected="bench drive", found=f"bench {config.what}")
     device = str(pick_device(config.device))
-    options = {"hdri": config.hdri} if config.what == "light" else {}
+    of_its_own = {"light": {"hdri": config.hdri}, "drive": {"film": config.film}}
+    options = of_its_own.get(config.what, {})
     importlib.import_module(f"samira_warp.bench.{config.what}").main(device, config.json, **options)
 
 

@@ -71,15 +71,15 @@ def make_template() -> HeadTemplate:
     )
 
 
-def make_parameters(seed: int) -> FrameParameters:
-    """A random expression and a slight turn of the head."""
+def make_parameters(seed: int, expressions: int = EXPRESSIONS) -> FrameParameters:
+    """A random expression and a slight turn of the head, of FLAME's joints."""
     generator = torch.Generator().manual_seed(seed)
     rotations = torch.zeros(len(FLAME_JOINTS), 3)
     rotations[FLAME_JOINTS.index("neck")] = 0.2 * torch.randn(3, generator=generator)
     return FrameParameters(
         translation=torch.zeros(3),
         rotations=rotations,
-        expression=torch.rand(EXPRESSIONS, generator=generator),
+        expression=torch.rand(expressions, generator=generator),
     )
 
 
@@ -89,11 +89,19 @@ def make_camera(size: int) -> Camera:
     return Camera(world_to_camera, FOCAL_SHARE * size, FOCAL_SHARE * size, 0.5 * size, 0.5 * size, size, size)
 
 
-def make_avatar(preset: PresetName, *, device: torch.device | str) -> Avatar:
-    """An avatar of a preset's sizes, with opaque grey Gaussians and random reference features."""
-    sizes = PRESETS[preset]
+def make_avatar(
+    preset: PresetName, *, device: torch.device | str, template: HeadTemplate | None = None
+) -> Avatar:
+    """An avatar of a preset's sizes, with opaque grey Gaussians and random reference features.
+
+    Args:
+        preset: Whose sizes.
+        device: Where it is made.
+        template: Its head, with FLAME's joints; None for `make_template`'s.
+    """
+    sizes, template = PRESETS[preset], template or make_template()
     canonical = CanonicalHead.build(
-        make_template(), shape=torch.zeros(0), static_offset=None, uv_size=sizes.uv_size
+        template, shape=torch.zeros(template.n_shape), static_offset=None, uv_size=sizes.uv_size
     )
     grey = torch.full((sizes.uv_size, sizes.uv_size, 3), 0.5)
     gaussians = initial_gaussians(
@@ -108,7 +116,7 @@ def make_avatar(preset: PresetName, *, device: torch.device | str) -> Avatar:
     settings = AvatarSettings(
         uv_size=sizes.uv_size, motion=MotionSettings(width=sizes.width, region_width=sizes.region_width)
     )
-    frames = FrameParameters.stack([make_parameters(seed) for seed in range(8)])
+    frames = FrameParameters.stack([make_parameters(seed, template.n_expression) for seed in range(8)])
     statistics = ConditionStatistics.of(conditions_of(frames))
     light = LearnableLight(torch.ones(3))
     return Avatar(

@@ -11,9 +11,9 @@ import numpy as np
 from PIL import Image
 from tqdm import tqdm
 
+from samira_warp.data.video import Picture, VideoFacts, read_pictures
 from samira_warp.io.images import resize_box, to_uint8
 from samira_warp.prepare.crop import Crop
-from samira_warp.prepare.video import Picture, VideoFacts, read_pictures
 
 SAMPLES = 32
 """Pictures of a video in which the head is looked for."""

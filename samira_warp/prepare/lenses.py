@@ -6,21 +6,15 @@ from pathlib import Path
 
 import av
 
+from samira_warp.data.video import VideoFacts
 from samira_warp.prepare.crop import Crop
-from samira_warp.prepare.video import VideoFacts
+from samira_warp.tracker.lens import guessed_focal
 
 FULL_FRAME = 36.0
 """Millimetres along the longer side of what 35 mm equivalents are measured on."""
 
 EQUIVALENT_KEY = "com.apple.quicktime.camera.focal_length.35mm_equivalent"
 """Where QuickTime films of telephones say it."""
-
-TYPICAL = 1.2
-"""Focal length in longer sides of the picture where nothing is known: telephones film with 0.7 to 1.0,
-cameras on a stand with 1.4 to 2.4."""
-
-SQUARE = 2.4
-"""The same of square films: no camera makes them, they were cut out of one of about twice their side."""
 
 
 def known_focal(video: Path, facts: VideoFacts, crop: Crop, *, side: int) -> tuple[float, str]:
@@ -42,5 +36,4 @@ def known_focal(video: Path, facts: VideoFacts, crop: Crop, *, side: int) -> tup
         equivalent = 0.0
     if equivalent > 0.0:
         return equivalent / FULL_FRAME * longer * scale, f"the film's {equivalent:g} mm"
-    factor = SQUARE if facts.width == facts.height else TYPICAL
-    return factor * longer * scale, "a guess"
+    return guessed_focal(facts.width, facts.height) * scale, "a guess"

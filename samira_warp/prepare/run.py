@@ -26,6 +26,7 @@ from samira_warp.check import check_dataset
 from samira_warp.data import open_listing
 from samira_warp.data.pictures import pictures_of
 from samira_warp.data.subjects import made_subject
+from samira_warp.data.video import VideoFacts, read_facts
 from samira_warp.head import HeadTemplate
 from samira_warp.head.models import missing_landmarks, read_head
 from samira_warp.head.uv_layout import with_one_atlas
@@ -50,7 +51,6 @@ from samira_warp.prepare.lenses import known_focal
 from samira_warp.prepare.own_tracking import FIT_FILE, Filmed, read_fit, track_film
 from samira_warp.prepare.refining import refine_dataset
 from samira_warp.prepare.stages import Stage, check_root, content_of, folder_identity, is_file
-from samira_warp.prepare.video import VideoFacts, read_facts
 from samira_warp.support.devices import pick_device
 from samira_warp.support.errors import UserError
 from samira_warp.tracker.observed import View

@@ -35,6 +35,14 @@ class RenderConfig:
     data: Path | None = None
     """Sequence that drives the avatar; default its own frames. Another person's sequence is
     cross-reenactment."""
+    drive: str | None = None
+    """In place of --data, what drives the avatar: a film, a camera (its number or device), a recording of
+    Live Link Face (.csv), or udp://HOST:PORT for phones. A camera and a port are recorded until Ctrl-C."""
+    neutral: int | None = None
+    """Frame of --drive, counted from 0, whose face is neutral; default the first ones of a film or a camera,
+    zeros for the others."""
+    smoothing: float = 1.0
+    """Of --drive, against jitter: 0 is none, 2 twice as much."""
     split: str | None = None
     """Frames of the sequence: train or test, a fraction, or last:N; default the test part of the split that
     the avatar was trained with."""
@@ -106,8 +114,12 @@ class RenderConfig:
             check_exposure(self.exposure, name="--exposure")
         if self.resolution is not None:
             check_side("--resolution", self.resolution)
+        check_drive(self.drive, data=self.data, split=self.split, neutral=self.neutral)
+        if self.drive is not None and self.neutral_frame is not None:
+            raise UserError("--neutral-frame", expected="--neutral beside --drive", found="--neutral-frame")
         ranges = {
             "expression-gain": (math.isfinite(self.expression_gain), "a number"),
+            "smoothing": (0.0 <= self.smoothing < math.inf, "0 or more"),
             "rotate": (math.isfinite(self.rotate), "degrees"),
             "turntable": (
                 self.turntable is None or 0.0 < self.turntable < math.inf,
@@ -133,3 +145,15 @@ class RenderConfig:
             "--video": self.video,
         }
         return next((name for name, given in asked.items() if given), None)
+
+
+def check_drive(drive: str | None, *, data: Path | None, split: str | None, neutral: int | None) -> None:
+    """Raise UserError unless the options of what drives an avatar go together."""
+    if drive is not None and data is not None:
+        raise UserError("--drive", expected="it or --data, one of them", found="both")
+    if drive is not None and split is not None:
+        raise UserError("--split", expected="--data with it", found="--drive")
+    if neutral is not None and drive is None:
+        raise UserError("--neutral", expected="--drive with it", found="none")
+    if neutral is not None and neutral < 0:
+        raise UserError("--neutral", expected="a frame, counted from 0", found=neutral)

@@ -13,6 +13,8 @@ from samira_warp.avatar import Avatar, CanonicalHead, DrivingFrame, read_frames
 from samira_warp.avatar.driving import Driver, PoseRange, match_expressions, match_joints
 from samira_warp.avatar.storage import TEMPLATE_FILE, read_record
 from samira_warp.data import TrackedSequence, open_sequence
+from samira_warp.drive import DriveSettings, Performer, open_source, record
+from samira_warp.drive.recording import sampled
 from samira_warp.head import FrameParameters, HeadTemplate
 from samira_warp.render.config import RenderConfig
 from samira_warp.stage.frames import chosen_frames, parse_frames
@@ -27,11 +29,12 @@ def select_frames(config: RenderConfig, avatar: Avatar, folder: Path) -> list[Dr
     """
     parse_frames(config.frames)  # before anything is read
     own = read_frames(folder)
-    driven = (
-        _own(config, own, avatar.canonical.template)
-        if config.data is None
-        else _driven(config, config.data, avatar, folder, own)
-    )
+    if config.drive is not None:
+        driven = _performed(config, config.drive, avatar, own)
+    elif config.data is not None:
+        driven = _driven(config, config.data, avatar, folder, own)
+    else:
+        driven = _own(config, own, avatar.canonical.template)
     chosen = chosen_frames(list(driven), config.frames)
     longer = config.resolution or max(own[0].camera.width, own[0].camera.height)
     return [frame._replace(camera=frame.camera.with_longer_side(longer)) for frame in chosen]
@@ -87,6 +90,26 @@ def _driven(
         frame = sequence.frames[index]
         parameters = frame.parameters if same_person else replace(frame.parameters, dynamic_offset=None)
         yield DrivingFrame(frame.name, driver.drive(parameters), frame.camera, sequence.split.part)
+
+
+def _performed(
+    config: RenderConfig, text: str, avatar: Avatar, own: list[DrivingFrame]
+) -> Iterator[DrivingFrame]:
+    """Frames of what --drive names, as many a second as a film of them has, before the training camera."""
+    settings = DriveSettings(
+        config.neutral, smoothing=config.smoothing, gain=config.expression_gain, clamp=config.clamp
+    )
+    source = open_source(text)
+    try:
+        performer = Performer(avatar.canonical, own, settings, pictures=source.pictures)
+        if source.live:
+            print(f"recording {source.name}; Ctrl-C ends that", file=sys.stderr, flush=True)
+        performances = record(source, performer, neutral=config.neutral)
+    finally:
+        source.end()
+    camera = performer.stance.frame.camera
+    for number, performance in enumerate(sampled(performances, config.fps)):
+        yield DrivingFrame(f"{number:05d}", performance.parameters, camera, "test")
 
 
 def _is_person(sequence: TrackedSequence, canonical: CanonicalHead) -> bool:

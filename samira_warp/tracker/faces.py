@@ -31,23 +31,27 @@ _LEFT, _RIGHT = (0, 1, 2, 3, 4), (0, 3, 2, 1, 4)
 count the rim from its outer point."""
 
 
-def landmarks_of(track: FaceTrack) -> Landmarks:
+def landmarks_of(track: FaceTrack, *, own: np.ndarray | None = None) -> Landmarks:
     """Landmarks of the mesh and the irises, and the gaps of lids and lips.
 
     Lids are the iris network's and not the mesh's, which stay open over closed eyes; what both networks leave
     open of what is closed is taken off. A closed eye shows no iris.
+
+    Args:
+        track: The face in N pictures.
+        own: (2,) how far the person's open eyes are open (`own_openness`); None for these pictures'.
     """
     frames = len(track.landmarks)
     points = np.zeros((frames, LANDMARKS, 3), np.float32)
     points[:, :MESH_LANDMARKS] = track.landmarks
     for first, eye, order in ((MESH_LANDMARKS, 1, _RIGHT), (MESH_LANDMARKS + 5, 0, _LEFT)):
         points[:, first : first + 5, :2] = track.irises[:, eye, list(order)]
-    openness = read_openness(track)
+    openness = read_openness(track, own=own)
     seen = np.asarray(np.isfinite(points).all(axis=-1))
     for first, eye in ((MESH_LANDMARKS, 1), (MESH_LANDMARKS + 5, 0)):
         seen[:, first : first + 5] &= ~openness.closed[:, eye, None]
     gaps = np.concatenate(
-        [*_lids(track, openness.eyes, openness.closed), _lips(track, openness.mouth)], axis=1
+        [*_lids(track, openness.eyes, openness.closed, own), _lips(track, openness.mouth)], axis=1
     )
     gaps_seen = np.isfinite(gaps).all(axis=-1)
     return Landmarks(
@@ -58,13 +62,18 @@ def landmarks_of(track: FaceTrack) -> Landmarks:
     )
 
 
-def _lids(track: FaceTrack, openness: np.ndarray, closed: np.ndarray) -> list[np.ndarray]:
+def _lids(
+    track: FaceTrack, openness: np.ndarray, closed: np.ndarray, person: np.ndarray | None
+) -> list[np.ndarray]:
     """(N, 7, 2) of either eye: nothing of closed lids, all of a person's open ones."""
     found = []
     for eye in (0, 1):
         lids = track.lids[:, eye]
         gaps = lids[:, 9:16] - lids[:, 1:8]
-        own = np.nanpercentile(openness[:, eye], OPEN_EYES) if track.seen.any() else 1.0
+        if person is not None:
+            own = person[eye]
+        else:
+            own = np.nanpercentile(openness[:, eye], OPEN_EYES) if track.seen.any() else 1.0
         own = max(float(own), 1.5 * CLOSED_LIDS)
         share = (openness[:, eye] - CLOSED_LIDS) / (own - CLOSED_LIDS) * own / openness[:, eye]
         share = np.where(closed[:, eye], 0.0, share.clip(0.0, None))

@@ -83,7 +83,7 @@ class LandmarkModel:
 
     def terms(
         self, landmarks: Landmarks, view: View, *, scales: Tensor, mesh_trust: float = 1.0
-    ) -> list[Term]:
+    ) -> list[LandmarkTerm | GapTerm]:
         """What landmarks say.
 
         Args:
@@ -112,7 +112,7 @@ class LandmarkModel:
         trust[MESH_LANDMARKS:] = IRIS_TRUST
         return trust[self.ids]
 
-    def _gaps(self, term: LandmarkTerm, landmarks: Landmarks) -> list[Term]:
+    def _gaps(self, term: LandmarkTerm, landmarks: Landmarks) -> list[GapTerm]:
         """Lids and lips, as far as the head has landmarks there."""
         place_of = {int(landmark): place for place, landmark in enumerate(self.ids)}
         kept = [
@@ -153,7 +153,7 @@ def fit_subject(
     root = head.rig.joint_regressor[0] @ head.rig.v_template
     start, scales = first_pose(head.layout, model.rest, root, landmarks.only(model.ids), view, focal=focal)
     keys = key_frames(landmarks, KEY_FRAMES)
-    terms = [
+    terms: list[Term] = [
         *model.terms(landmarks.rows(keys), view, scales=scales[keys]),
         *frame_terms(head, rate=None),
         subject_term(head, focal=focal, frames=len(keys)),
@@ -183,7 +183,7 @@ def fit_frames(
     """
 
     def fit(rows: slice, unknowns: Unknowns) -> Unknowns:
-        terms = [
+        terms: list[Term] = [
             *model.terms(landmarks.rows(rows), view, scales=start.scales[rows]),
             *frame_terms(model.head, rate=rate),
         ]

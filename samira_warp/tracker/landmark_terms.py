@@ -55,28 +55,43 @@ class LandmarkTerm:
 
     def cost(self, unknowns: Unknowns) -> float:
         """Half of the robust sum."""
-        total = 0.0
-        for rows in chunks(len(unknowns.frames)):
-            placed = pose(self.points, unknowns, rows).points
-            _, scaled, trust = self._residuals(unknowns, rows, placed)
-            squared = scaled.square().sum(dim=-1)
-            total += 0.5 * float((trust * TAIL**2 * torch.log1p(squared / TAIL**2)).double().sum())
-        return total
+        return sum(
+            self.cost_of(pose(self.points, unknowns, rows), unknowns, rows)
+            for rows in chunks(len(unknowns.frames))
+        )
+
+    def cost_of(self, posed: PosedPoints, unknowns: Unknowns, rows: slice) -> float:
+        """Some frames' share of `cost`, whose points are posed."""
+        _, scaled, trust = self._residuals(unknowns, rows, posed.points)
+        squared = scaled.square().sum(dim=-1)
+        return 0.5 * float((trust * TAIL**2 * torch.log1p(squared / TAIL**2)).double().sum())
 
     def add(self, unknowns: Unknowns, equations: NormalEquations) -> None:
         """Add the squares, weighted as Cauchy's function grows there."""
         for rows in chunks(len(unknowns.frames)):
             posed = pose(self.points, unknowns, rows)
-            residuals, scaled, trust = self._residuals(unknowns, rows, posed.points)
-            robust = trust / (1 + scaled.square().sum(dim=-1) / TAIL**2)
-            by_frame, by_subject = in_picture(posed, self.view, unknowns, subject=equations.with_subject)
-            equations.add(
-                rows,
-                by_frame.flatten(1, 2),
-                None if by_subject is None else by_subject.flatten(1, 2),
-                residuals.flatten(1),
-                (robust * self.precision[rows]).repeat_interleave(2, dim=1),
-            )
+            moves = in_picture(posed, self.view, unknowns, subject=equations.with_subject)
+            self.add_of(posed, moves, unknowns, rows, equations)
+
+    def add_of(
+        self,
+        posed: PosedPoints,
+        moves: tuple[Tensor, Tensor | None],
+        unknowns: Unknowns,
+        rows: slice,
+        equations: NormalEquations,
+    ) -> None:
+        """Some frames' share of `add`, whose points are posed and move as `in_picture` says."""
+        by_frame, by_subject = moves
+        residuals, scaled, trust = self._residuals(unknowns, rows, posed.points)
+        robust = trust / (1 + scaled.square().sum(dim=-1) / TAIL**2)
+        equations.add(
+            rows,
+            by_frame.flatten(1, 2),
+            None if by_subject is None else by_subject.flatten(1, 2),
+            residuals.flatten(1),
+            (robust * self.precision[rows]).repeat_interleave(2, dim=1),
+        )
 
     def _residuals(self, unknowns: Unknowns, rows: slice, placed: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Residuals (n, L, 2) in pixels, the same in standard deviations, and trust (n, L)."""
@@ -122,25 +137,41 @@ class GapTerm:
 
     def cost(self, unknowns: Unknowns) -> float:
         """Half of the sum."""
-        total = 0.0
-        for rows in chunks(len(unknowns.frames)):
-            residuals, weights = self._residuals(unknowns, rows, pose(self.term.points, unknowns, rows))
-            total += 0.5 * float((weights[..., None] * residuals.square()).double().sum())
-        return total
+        return sum(
+            self.cost_of(pose(self.term.points, unknowns, rows), unknowns, rows)
+            for rows in chunks(len(unknowns.frames))
+        )
+
+    def cost_of(self, posed: PosedPoints, unknowns: Unknowns, rows: slice) -> float:
+        """Some frames' share of `cost`, whose points are posed."""
+        residuals, weights = self._residuals(unknowns, rows, posed)
+        return 0.5 * float((weights[..., None] * residuals.square()).double().sum())
 
     def add(self, unknowns: Unknowns, equations: NormalEquations) -> None:
         """Add the squares."""
         for rows in chunks(len(unknowns.frames)):
             posed = pose(self.term.points, unknowns, rows)
-            residuals, weights = self._residuals(unknowns, rows, posed)
-            by_frame, by_subject = in_picture(posed, self.term.view, unknowns, subject=equations.with_subject)
-            equations.add(
-                rows,
-                self._differences(by_frame).flatten(1, 2),
-                None if by_subject is None else self._differences(by_subject).flatten(1, 2),
-                residuals.flatten(1),
-                weights.repeat_interleave(2, dim=1),
-            )
+            moves = in_picture(posed, self.term.view, unknowns, subject=equations.with_subject)
+            self.add_of(posed, moves, unknowns, rows, equations)
+
+    def add_of(
+        self,
+        posed: PosedPoints,
+        moves: tuple[Tensor, Tensor | None],
+        unknowns: Unknowns,
+        rows: slice,
+        equations: NormalEquations,
+    ) -> None:
+        """Some frames' share of `add`, whose points are posed and move as `in_picture` says."""
+        by_frame, by_subject = moves
+        residuals, weights = self._residuals(unknowns, rows, posed)
+        equations.add(
+            rows,
+            self._differences(by_frame).flatten(1, 2),
+            None if by_subject is None else self._differences(by_subject).flatten(1, 2),
+            residuals.flatten(1),
+            weights.repeat_interleave(2, dim=1),
+        )
 
     def _differences(self, values: Tensor) -> Tensor:
         return values[:, self.upper] - values[:, self.lower]

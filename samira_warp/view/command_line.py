@@ -84,6 +84,8 @@ def _has_frames(folder: Path) -> bool:
 def _missing(state: State) -> list[str]:
     """What render has no options for."""
     missing = []
+    if state.pose.live is not None:
+        missing.append("the live pose: render --drive records one")
     if state.pose.neutral:
         missing.append("the face at rest")
     if state.pose.expression or state.pose.joints:

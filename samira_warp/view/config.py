@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
+from samira_warp.render.config import check_drive
 from samira_warp.support.device_names import DeviceName
 from samira_warp.support.errors import UserError
 
@@ -29,6 +31,14 @@ class ViewConfig:
     """A second avatar, to be shown beside the first in one picture."""
     data: Path | None = None
     """Sequence that drives the avatar; default its own frames."""
+    drive: str | None = None
+    """What drives the avatar live: a camera (its number or device), udp://HOST:PORT for phones, a film, or a
+    recording of Live Link Face (.csv), which are played once."""
+    neutral: int | None = None
+    """Frame of --drive, counted from 0, whose face is neutral; default the first ones of a camera or a film,
+    zeros for the others. A button of the page takes the face of the moment."""
+    smoothing: float = 1.0
+    """Of --drive, against jitter: 0 is none, 2 twice as much."""
     split: str | None = None
     """Frames of --data: train or test, a fraction, or last:N; default as render takes them."""
     envs: Path | None = None
@@ -53,5 +63,8 @@ class ViewConfig:
         if not LEAST_SIDE <= self.resolution <= MOST_SIDE:
             expected = f"{LEAST_SIDE} to {MOST_SIDE} pixels"
             raise UserError("--resolution", expected=expected, found=self.resolution)
+        check_drive(self.drive, data=self.data, split=self.split, neutral=self.neutral)
+        if not 0.0 <= self.smoothing < math.inf:
+            raise UserError("--smoothing", expected="0 or more", found=self.smoothing)
         if self.split is not None and self.data is None:
             raise UserError("--split", expected="--data with it", found="none")

@@ -21,7 +21,9 @@ from samira_warp.view.tabs.play import PlayTab
 from samira_warp.view.tabs.saving import SaveTab
 
 if TYPE_CHECKING:
+    from samira_warp.drive.stream import Condition, Stream
     from samira_warp.view.following import Progress
+    from samira_warp.view.tabs.driving import DriveTab
     from samira_warp.view.tabs.training import TrainingTab
 
 
@@ -35,11 +37,25 @@ class Panel:
         self._training: TrainingTab | None = None
         self._splats: viser.GaussianSplatHandle | None = None
         self._behind: str | None = None
+        self._drive: DriveTab | None = None
 
-    def fill(self, session: Session, config: ViewConfig, progress: Progress | None) -> None:
+    def fill(
+        self, session: Session, config: ViewConfig, progress: Progress | None, stream: Stream | None
+    ) -> None:
         """Make the tabs."""
         gui = self._client.gui
         tabs = gui.add_tab_group()
+        if stream is not None:
+            from samira_warp.view.tabs.driving import DriveTab
+
+            with tabs.add_tab("Drive"):
+                self._drive = DriveTab(
+                    gui,
+                    session,
+                    stream.source.name,
+                    stream.condition(),
+                    take_for_neutral=stream.take_for_neutral,
+                )
         with tabs.add_tab("Play"):
             self._play = PlayTab(gui, session)
             with gui.add_folder("Camera"):
@@ -109,3 +125,8 @@ class Panel:
         """Show how far the training is by now."""
         if self._training is not None:
             self._training.show(progress)
+
+    def condition(self, condition: Condition) -> None:
+        """Show how what drives the avatar is by now."""
+        if self._drive is not None:
+            self._drive.show(condition)

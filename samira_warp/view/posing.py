@@ -112,7 +112,8 @@ class Poser:
 
     def parameters(self, pose: Pose) -> FrameParameters:
         """The head's parameters, those of the frame itself where nothing is added."""
-        parameters = self.frames[min(pose.frame, len(self.frames) - 1)].parameters
+        frame = self.frames[min(pose.frame, len(self.frames) - 1)]
+        parameters = frame.parameters if pose.live is None else pose.live
         if pose.neutral:
             parameters = self._at_rest(parameters)
         if pose.expression:

@@ -26,6 +26,7 @@ from samira_warp.view.tabs.camera import UP
 from samira_warp.view.turns import Turns
 
 if TYPE_CHECKING:
+    from samira_warp.drive.stream import Condition, Stream
     from samira_warp.view.following import Progress
 
 TITLE = "samira_warp"
@@ -37,7 +38,15 @@ WARM_SIDE = 64
 class Server:
     """Browsers come and go; each has its own session, and one thread makes the pictures of all."""
 
-    def __init__(self, scene: Scene, config: ViewConfig, *, port: int, progress: Progress | None) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        config: ViewConfig,
+        *,
+        port: int,
+        progress: Progress | None,
+        stream: Stream | None = None,
+    ) -> None:
         """Open the page.
 
         Args:
@@ -45,11 +54,12 @@ class Server:
             config: The options.
             port: A free one.
             progress: How far the run is that is followed, if any.
+            stream: What drives the avatar live, if anything does.
 
         Raises:
             UserError: The port was taken in the meantime.
         """
-        self._scene, self._config, self._progress = scene, config, progress
+        self._scene, self._config, self._progress, self._stream = scene, config, progress, stream
         self._lock = threading.Lock()
         self._browsers: dict[int, tuple[Session, Panel]] = {}
         self._turns = Turns()
@@ -99,6 +109,13 @@ class Server:
         for panel in panels:
             panel.progress(progress)
 
+    def show_condition(self, condition: Condition) -> None:
+        """Show to all how what drives the avatar is by now."""
+        with self._lock:
+            panels = [panel for _, panel in self._browsers.values()]
+        for panel in panels:
+            panel.condition(condition)
+
     def end(self) -> None:
         """Close the page."""
         self._turns.end()
@@ -130,6 +147,8 @@ class Server:
         session.see(
             look_of(client.camera), width=client.camera.image_width, height=client.camera.image_height
         )
+        if self._stream is not None and self._stream.latest is not None:
+            session.drive(self._stream.latest.parameters)
         self._turns.join(session)
         with self._lock:
             self._browsers[client.client_id] = (session, panel)
@@ -139,7 +158,7 @@ class Server:
             session.see(look_of(camera), width=camera.image_width, height=camera.image_height)
 
         client.camera.on_update(moved)
-        panel.fill(session, self._config, progress)
+        panel.fill(session, self._config, progress, self._stream)
         if client.client_id not in self._viser.get_clients():  # it left meanwhile
             self._go(client)
 

@@ -14,6 +14,7 @@ from typing import Protocol
 
 import numpy as np
 
+from samira_warp.head import FrameParameters
 from samira_warp.support.errors import UserError
 from samira_warp.view.lights import Detail
 from samira_warp.view.look import Look
@@ -81,6 +82,7 @@ class Session:
         self._changed = -math.inf
         self._fps, self._play_from, self._play_began, self._next_frame = 0.0, 0, 0.0, 0.0
         self._jobs: deque[Job] = deque()
+        self._follows = True
         self._sides, self._size = Sides.new(), MovingSize()
         self._avatar = 0  # how many were replaced
         self._sent: tuple[int, State, Detail] | None = None  # what the browser's splats are of
@@ -133,6 +135,20 @@ class Session:
             self._next_frame = self._play_began
             self._touch()
         self._wake()
+
+    def follow(self, follows: bool) -> None:
+        """Let what drives the avatar live move this browser's, or the sequence again."""
+        with self._lock:
+            self._follows = follows
+            if not follows:
+                self._state = replace(self._state, pose=replace(self._state.pose, live=None))
+            self._touch()
+        self._wake()
+
+    def drive(self, parameters: FrameParameters) -> None:
+        """Show what a live source gave; a picture of an older one that was due is not made any more."""
+        if self._follows:
+            self.change(lambda state: replace(state, pose=replace(state.pose, live=parameters)))
 
     def begin(self, job: Job) -> None:
         """Do work beside the pictures, a step at a time."""

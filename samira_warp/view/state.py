@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from samira_warp.avatar import MaterialEdit
+from samira_warp.head import FrameParameters
 from samira_warp.stage.layer_names import Layer
 from samira_warp.support.tone_names import ToneMap
 from samira_warp.view.look import Look, Triple
@@ -23,17 +24,19 @@ class Pose:
         neutral: Take the frame's place and turn of the head alone, and a face at rest.
         expression: What is added to coefficients, by their names; those of 0 are left out.
         joints: Axis-angle rotations, degrees, that joints make before the frame's own, by their names.
+        live: What a source that drives the avatar gave last, in place of the frame; None where none does.
     """
 
     frame: int = 0
     neutral: bool = False
     expression: tuple[tuple[str, float], ...] = ()
     joints: tuple[tuple[str, Triple], ...] = ()
+    live: FrameParameters | None = None
 
     @property
     def plain(self) -> bool:
         """Whether it is the frame as it is."""
-        return not (self.neutral or self.expression or self.joints)
+        return not (self.neutral or self.expression or self.joints) and self.live is None
 
 
 @dataclass(frozen=True)

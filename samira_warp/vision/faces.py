@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -92,14 +92,23 @@ def follow_faces(pictures: Iterable[np.ndarray], networks: FaceNetworks) -> Face
         pictures: (H, W, 3) uint8 each, upright, as they are shown.
         networks: What looks at them.
     """
-    follower = _Follower(networks)
+    follower = FaceFollower(networks)
     frames = [follower.look(picture) for picture in pictures]
-    return _track(frames, follower.notes())
+    return gathered(frames, follower.notes())
 
 
 @dataclass(frozen=True)
-class _Frame:
-    """What one picture shows: a reading with its irises and lids, or a reason."""
+class FaceFrame:
+    """What one picture shows: a reading with its irises and lids, or a reason.
+
+    Attributes:
+        colours: (64,) float32 histogram of the picture's colours.
+        reason: Why no face is seen, else "".
+        person: Number of the person who is followed, -1 where nobody is seen.
+        reading: Of the mesh, None where no face is seen.
+        irises: (2, 5, 2) of both eyes, as `FaceTrack` has them.
+        lids: (2, 16, 2) likewise.
+    """
 
     colours: np.ndarray
     reason: str = ""
@@ -110,18 +119,28 @@ class _Frame:
 
 
 @dataclass
-class _Follower:
-    """Who is followed, from picture to picture."""
+class FaceFollower:
+    """Who is followed, from picture to picture, one at a time (`follow_faces`).
+
+    Attributes:
+        networks: What looks at the pictures.
+        landmarks: (468, 3) of the last picture that showed the face; None where it did not.
+        place: (3,) centre and size of the face when it was last seen.
+        person: Number of the person who is followed, -1 before the first.
+        number: How many pictures were looked at.
+        most: Of faces in one picture.
+        several: Numbers of the pictures with more than one.
+    """
 
     networks: FaceNetworks
     landmarks: np.ndarray | None = None
-    place: np.ndarray | None = None  # centre and size of the face when it was last seen
+    place: np.ndarray | None = None
     person: int = -1
     number: int = 0
     most: int = 0
     several: list[int] = field(default_factory=list)
 
-    def look(self, picture: np.ndarray) -> _Frame:
+    def look(self, picture: np.ndarray) -> FaceFrame:
         """Read a picture; call in order."""
         colours = colour_histogram(picture)
         reading, reason = self._followed(picture), ""
@@ -130,12 +149,12 @@ class _Follower:
         self.number += 1
         if reading is None:
             self.landmarks = None
-            return _Frame(colours, reason)
+            return FaceFrame(colours, reason)
         self.landmarks = reading.landmarks
         square = square_about(reading.landmarks)
         self.place = np.array([square.x, square.y, square.side / CROP])
         eyes = [read_eye(self.networks.iris, picture, reading.landmarks, left=left) for left in (True, False)]
-        return _Frame(
+        return FaceFrame(
             colours,
             person=self.person,
             reading=reading,
@@ -222,7 +241,8 @@ def refusal(reading: SettledReading) -> str:
     return ""
 
 
-def _track(frames: list[_Frame], notes: tuple[str, ...]) -> FaceTrack:
+def gathered(frames: Sequence[FaceFrame], notes: tuple[str, ...] = ()) -> FaceTrack:
+    """What pictures show, one after the other, as a film's."""
     count = len(frames)
     landmarks = np.full((count, POINTS, 3), np.nan, np.float32)
     irises = np.full((count, 2, 5, 2), np.nan, np.float32)

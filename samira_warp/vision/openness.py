@@ -58,12 +58,23 @@ class Openness(NamedTuple):
     mouth: np.ndarray
 
 
-def read_openness(track: FaceTrack) -> Openness:
-    """How far eyes and mouth are open in a film."""
+def own_openness(lids: np.ndarray) -> np.ndarray:
+    """(2,) float64 how far a person's open eyes are open, of (N, 2, 16, 2) lids; NaN where none are seen."""
+    eyes = eye_openness(lids)
+    return np.nanpercentile(eyes, OPEN_EYES, axis=0) if np.isfinite(eyes).any() else np.full(2, np.nan)
+
+
+def read_openness(track: FaceTrack, *, own: np.ndarray | None = None) -> Openness:
+    """How far eyes and mouth are open in a film.
+
+    Args:
+        track: The face in it.
+        own: (2,) of `own_openness`, of more pictures than these; None for these alone.
+    """
     eyes = eye_openness(track.lids)
     mouth = mouth_openness(track.landmarks)
+    own = own_openness(track.lids) if own is None else own
     with np.errstate(invalid="ignore"):
-        own = np.nanpercentile(eyes, OPEN_EYES, axis=0) if track.seen.any() else np.full(2, np.nan)
         closed = eyes < np.minimum(CLOSED_EYE, CLOSED_SHARE * own)
     return Openness(eyes.astype(np.float32), closed, mouth.astype(np.float32))
 

@@ -1,14 +1,15 @@
 import json
 import types
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import pytest
 import torch
 
-from samira_warp.bench import avatar, embree_peer, gsplat_peer, mesh, raster, timing, view, visibility
+from samira_warp.bench import avatar, drive, embree_peer, gsplat_peer, mesh, raster, timing, view, visibility
 from samira_warp.bench.disc import make_disc
 from samira_warp.bench.memory import peak_bytes
-from samira_warp.bench.subject import make_avatar, make_camera, make_parameters
+from samira_warp.bench.subject import make_avatar, make_camera, make_parameters, make_template
+from samira_warp.drive.arkit import SHAPES
 from samira_warp.kernels.raster.projection import project
 from samira_warp.kernels.raster.tiles import TILE, bin_tiles
 from samira_warp.surface import SURFACE_CHANNELS
@@ -156,6 +157,14 @@ def test_avatar_rows_time_only_what_is_not_cached(brief):
         # whole frames, timed once here: their stages and what is between them
         assert row["total_ms"] > sum(row[f"{stage}_ms"] for stage in avatar.STAGES[:-1])
         assert row["frames_per_second"] == pytest.approx(1e3 / row["total_ms"])
+
+
+def test_driving_is_measured_stage_by_stage(brief):
+    head = replace(make_template(), expression_names=SHAPES[:50])
+    row = drive.measure(torch.device("cpu"), size=24, template=head, items=drive._signals(), pictures=False)
+    stages = [row[f"{name}_ms"] for name in ("track", "pose", "picture", "jpeg")]
+    assert row["delay_ms"] == pytest.approx(sum(stages))
+    assert row["pictures_per_second"] == pytest.approx(1e3 / max(sum(stages[:2]), sum(stages[2:])))
 
 
 def test_viewer_rows_are_of_all_that_can_be_moved(brief):

@@ -10,8 +10,8 @@ import imageio_ffmpeg
 import numpy as np
 import pytest
 
+from samira_warp.data.video import read_facts, read_pictures
 from samira_warp.io.images import read_image
-from samira_warp.prepare.video import read_facts, read_pictures
 from samira_warp.support.errors import UserError
 
 SKIN = np.array([(200, 150, 120), (90, 60, 50), (200, 40, 40), (128, 128, 128), (40, 90, 160)])

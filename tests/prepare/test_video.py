@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from stand_ins import HEIGHT, LEFT, SIDE, TOP, WIDTH, filmed
 
+from samira_warp.data.video import Picture, VideoFacts, read_facts, read_pictures
 from samira_warp.io.images import read_image
 from samira_warp.prepare.crop import Crop
 from samira_warp.prepare.frames import Written, frame_name, sampled, thinned, write_frames
-from samira_warp.prepare.video import Picture, VideoFacts, read_facts, read_pictures
 from samira_warp.support.errors import UserError
 
 

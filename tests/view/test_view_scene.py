@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from subjects import parameters
 
 from samira_warp.avatar import Avatar, MaterialEdit, read_frames
 from samira_warp.avatar.storage import find_avatar
@@ -102,11 +103,16 @@ def test_the_picture_is_the_avatars_own_to_the_bit(scene, start, envs):
     assert np.array_equal(picture, to_uint8(wanted.image.clamp(0, 1).numpy()))
 
 
+LIVE = parameters(5, turn=0.1)
+"""What a source that drives the avatar gave."""
+
 CHANGES = {
     "frame": lambda s: replace(s, pose=Pose(3)),
     "rest": lambda s: replace(s, pose=replace(s.pose, neutral=True)),
     "expression": lambda s: replace(s, pose=replace(s.pose, expression=(("expression1", 0.8),))),
     "joints": lambda s: replace(s, pose=replace(s.pose, joints=(("neck", (0.0, 20.0, 0.0)),))),
+    "live": lambda s: replace(s, pose=replace(s.pose, live=LIVE)),
+    "live again": lambda s: replace(s, pose=replace(s.pose, live=None)),
     "light": lambda s: replace(s, light=Light("night")),
     "turn": lambda s: replace(s, light=replace(s.light, rotate=90.0)),
     "stops": lambda s: replace(s, light=replace(s.light, stops=-1.0)),

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import av
 import numpy as np
 
-from samira_warp.prepare.shown import Appearance, dynamic_range
+from samira_warp.data.shown import Appearance, dynamic_range
 from samira_warp.support.errors import UserError
 
 WHOLE_SHARE = 0.9
