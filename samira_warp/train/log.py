@@ -45,21 +45,22 @@ class RunLog:
         self._bar.close()
         self._board.close()
 
-    def add(self, step: int, terms: dict[str, torch.Tensor], *, gaussians: int) -> None:
-        """Add one step's detached scalars.
+    def add(self, step: int, terms: dict[str, torch.Tensor], *, frames: int, gaussians: int) -> None:
+        """Add the detached scalars of one step, or of several that were taken at once.
 
         Their means are written every LOG_EVERY steps, and at the last one.
 
         Args:
             step: Number of steps done.
-            terms: Loss terms and ``mse``, the mean squared error of the image.
+            terms: Loss terms and ``mse``, the mean squared error of the image, summed over the steps.
+            frames: How many those were.
             gaussians: N.
         """
         for name, value in terms.items():
             self._sums[name] = self._sums[name] + value if name in self._sums else value
-        self._count += 1
-        self._bar.update()
-        if step % LOG_EVERY == 0 or step == self._last:
+        self._count += frames
+        self._bar.update(frames)
+        if step // LOG_EVERY > (step - frames) // LOG_EVERY or step == self._last:
             self._write(step, gaussians)
 
     def preview(self, step: int, rendering: Rendering, target: Target, light: Environment) -> None:
