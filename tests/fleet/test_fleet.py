@@ -79,7 +79,11 @@ def four(made_once, tiny_dataset):
         broken = shutil.copytree(tiny_dataset, folder / "broken")
         (broken / "images" / sorted(path.name for path in (broken / "images").iterdir())[1]).write_bytes(b"x")
         manifest = folder / "four.toml"
-        rows = [row("anna", tiny_dataset), row("ben", "broken"), row("cleo", tiny_dataset, "train.seed = 7")]
+        rows = [
+            row("anna", tiny_dataset),
+            row("ben", "broken"),
+            row("cleo", tiny_dataset, f"train.max-steps = {LONG}"),
+        ]
         rows += [row("dora", tiny_dataset, f"train.max-steps = {LONG}")]
         manifest.write_text(MANIFEST + "".join(rows))
         over = threading.Event()
@@ -146,7 +150,7 @@ def test_a_subjects_bits_are_those_of_the_verb_alone(four, tiny_run):
     assert (four / "out" / "cleo" / "run" / "avatar" / "avatar.safetensors").read_bytes() != alone
 
 
-def test_a_killed_workers_training_goes_on_elsewhere(four):
+def test_a_killed_workers_training_goes_on_to_the_same_bits(four):
     mark = json.loads((four / "out" / "dora" / "stages" / "train.json").read_text())
     assert (mark["state"], mark["tries"]) == ("done", 2)
     steps = [
@@ -158,6 +162,10 @@ def test_a_killed_workers_training_goes_on_elsewhere(four):
     assert sum(record["tries"] for record in others) == len(others) + 1
     log = (four / "out" / "dora" / "stages" / "train.log").read_text()
     assert log.count("4 training and 2 test frames") == 2
+    whole, killed = (
+        four / "out" / name / "run" / "avatar" / "avatar.safetensors" for name in ("cleo", "dora")
+    )
+    assert whole.read_bytes() == killed.read_bytes()
 
 
 def test_the_same_command_again_keeps_what_is_done(four, tmp_path, capsys):

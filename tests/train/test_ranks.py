@@ -239,7 +239,9 @@ def test_rates_are_as_before_for_one_frame(alone):
 def test_logged_terms_are_sums_over_both_frames(two, alone):
     rows, backgrounds = shown_first()
     terms = held(two / "told", 2, 0)["terms"]
-    total = sum(float(alone.objective(row, color)[0]) for row, color in zip(rows, backgrounds, strict=True))
+    total = sum(
+        float(alone.objective(row, color)[0].detach()) for row, color in zip(rows, backgrounds, strict=True)
+    )
     assert sum(float(value) for name, value in terms.items() if name != "mse") == pytest.approx(
         total, rel=1e-5
     )
