@@ -237,8 +237,8 @@ def _half(path: Path) -> Path:
 def _end_with(parent: int) -> Callable[[], None] | None:
     """What a new process does to be killed with the one that started it, where the system knows how.
 
-    A worker that is killed is replaced, and its stage begun again beside what it had started: two trainings
-    at work in one folder.
+    A worker that is killed is replaced, and its stage begun again: beside what it had started, two trainings
+    would be at work in one folder. Ray's own clean-up is a setting of each cluster, and `--row` has none.
     """
     if sys.platform != "linux":
         return None

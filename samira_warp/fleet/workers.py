@@ -100,7 +100,10 @@ def _join(ray: Any, address: str | None) -> None:
     where = {"address": "local", "include_dashboard": False} if address is None else {"address": address}
     try:
         ray.init(**where, log_to_driver=False, logging_level="warning")
-    except (ConnectionError, ValueError, RuntimeError) as error:
+    except Exception as error:  # Ray raises Exception itself where its own processes were too slow
+        if address is None:
+            expected = "a Ray of this machine's own to start, or --row N, which needs none"
+            raise UserError("ray", expected=expected, found=error) from error
         expected = "a Ray cluster, as `ray start --head` begins one"
         raise UserError(f"--address {address}", expected=expected, found=error) from error
 

@@ -218,7 +218,7 @@ def test_a_stage_that_no_machine_has_room_for_is_refused(tiny_dataset, tmp_path)
 
 
 def test_what_a_worker_started_dies_with_it(tmp_path):
-    """Where the system can: Ray leaves it, and begins the stage again beside it."""
+    """Where the system can: the stage is begun again, and may not find the first try at work."""
     if stages._end_with(os.getpid()) is None:
         pytest.skip("only Linux ends a process with the one that started it")
 
