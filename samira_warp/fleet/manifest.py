@@ -155,9 +155,9 @@ def _resources(place: str, row: Any) -> Resources:
     _check_keys(place, row, ("cores", "gpus", "memory-gb"))
     values = {name.replace("-", "_"): value for name, value in row.items()}
     for name, value in row.items():
-        kind, least = (int, 1) if name == "cores" else ((int, float), 0)
-        whole = isinstance(value, kind) and not isinstance(value, bool)
-        if not whole or value < least or (name == "memory-gb" and value <= 0):
+        kinds: tuple[type, ...] = (int,) if name == "cores" else (int, float)
+        is_number = isinstance(value, kinds) and not isinstance(value, bool)
+        if not is_number or value < int(name == "cores") or (name == "memory-gb" and value <= 0):
             expected = {"cores": "a whole number from 1 on", "gpus": "0 or more"}.get(name, "more than 0")
             raise UserError(f"{place}: {name}", expected=expected, found=repr(value))
     return Resources(**values)

@@ -226,7 +226,11 @@ def _run_commands(stage: Stage, log: TextIO) -> Outcome:
 
 def _output(kept: Path | None, log: TextIO) -> TextIO:
     """Where a command's standard output goes."""
-    return open(os.dup(log.fileno()), "a", encoding="utf-8") if kept is None else _half(kept).open("w")
+    return (
+        open(os.dup(log.fileno()), "a", encoding="utf-8")
+        if kept is None
+        else _half(kept).open("w", encoding="utf-8")
+    )
 
 
 def _half(path: Path) -> Path:

@@ -21,13 +21,15 @@ class Workers:
 
     def __init__(self, ray: Any, *, retries: int) -> None:
         self._ray = ray
-        self._task = ray.remote(run_stage).options(max_retries=retries, retry_exceptions=[StageCrashError])
+        self._function, self._retries = ray.remote(run_stage), retries
         self._running: dict[Any, Stage] = {}
 
     def begin(self, stage: Stage) -> None:
         """Have a stage done as soon as there is room for it."""
         takes = stage.resources
-        task = self._task.options(
+        task = self._function.options(
+            max_retries=self._retries,
+            retry_exceptions=[StageCrashError],
             name=f"{stage.subject} {stage.name}",
             num_cpus=takes.cores,
             num_gpus=takes.gpus,
@@ -97,7 +99,9 @@ def _import_ray() -> Any:
 
 def _join(ray: Any, address: str | None) -> None:
     # a driver's local Ray is its own: RAY_ADDRESS in the environment would have it join another
-    where = {"address": "local", "include_dashboard": False} if address is None else {"address": address}
+    where: dict[str, Any] = {"address": address or "local"}
+    if address is None:
+        where["include_dashboard"] = False
     try:
         ray.init(**where, log_to_driver=False, logging_level="warning")
     except Exception as error:  # Ray raises Exception itself where its own processes were too slow

@@ -97,7 +97,9 @@ class Trainer:
             False when Ctrl-C ended it early; a checkpoint was saved.
         """
         steps = self.schedule.steps
-        writes = RunLog(folder, steps=steps, start=self.step) if self.ranks.first else nullcontext()
+        writes: RunLog | nullcontext[None] = (
+            RunLog(folder, steps=steps, start=self.step) if self.ranks.first else nullcontext()
+        )
         with writes as log, StopRequest() as stop:
             while self.step < steps and not self.ranks.any(stop.asked):
                 self._prefetch()
