@@ -17,6 +17,7 @@ VERBS = {
     "view": "look at an avatar in the browser: move it, light it, change it",
     "evaluate": "score images against a dataset",
     "export": "write an avatar for other programs",
+    "fleet": "do many subjects on many machines, from their films to their scores",
     "ablate": "train the method without each of its parts, and compare",
     "compare": "put training runs side by side in a report",
     "bench": "time a part of the package on this machine",

@@ -29,6 +29,8 @@ LONG_FILES = (
     "test_make.py",
     "test_command.py",
     "test_prepare.py",
+    "test_ranks.py",
+    "test_fleet.py",
     "test_examples.py",
     "test_loading.py",
     "test_relighting.py",

@@ -12,7 +12,10 @@ from subjects import TESTS
 
 ROOT = TESTS.parent
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
-VERBS = ("check", "prepare", "train", "render", "view", "export", "evaluate", "ablate", "compare", "bench")
+VERBS = (
+    *("check", "prepare", "train", "render", "view", "export", "evaluate", "fleet", "ablate", "compare"),
+    "bench",
+)
 
 COMMAND = re.compile(r"(?:samira-warp |python -m samira_warp\.)(?P<verb>\w+)(?P<rest>[^`\n]*)")
 TOOL = re.compile(r"python (?P<path>(?:tools|examples)/\w+\.py)(?P<rest>[^`\n]*)")

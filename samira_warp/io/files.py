@@ -10,12 +10,12 @@ import shutil
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
-
-from safetensors.torch import save
-from torch import Tensor
+from typing import TYPE_CHECKING, Any
 
 from samira_warp.support.errors import UserError, reason
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 def cache_folder() -> Path:
@@ -150,6 +150,8 @@ def save_tensors(tensors: dict[str, Tensor], path: Path, *, metadata: dict[str, 
     Raises:
         OSError: The file cannot be written.
     """
+    from safetensors.torch import save  # with torch, seconds that no other function here needs
+
     # safetensors' own writer leaves files that nobody but their owner can read.
     content = save({name: value.detach().contiguous() for name, value in tensors.items()}, metadata=metadata)
     try:

@@ -88,6 +88,17 @@ def say_mistake(text: str) -> int:
     return STATUS_MISTAKE
 
 
+def fault(config_type: type, words: Sequence[str]) -> str | None:
+    """What is wrong with the words of a verb's command line, None where nothing is."""
+    said = io.StringIO()
+    try:
+        with contextlib.redirect_stderr(said):
+            _parse(config_type, "", list(words))
+    except SystemExit:
+        return said.getvalue().strip().removeprefix("error: ").rpartition("; see ")[0]
+    return None
+
+
 def nearest(word: str, names: Sequence[str]) -> str | None:
     """The name that a mistyped word is likely to mean, None where it is like none of them."""
     return next(iter(difflib.get_close_matches(word, names, n=1)), None)

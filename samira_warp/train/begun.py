@@ -20,7 +20,7 @@ CONFIG_FILE, AVATAR_FOLDER, CHECKPOINTS_FOLDER = "config.json", "avatar", "check
 LENGTHS = ("steps", "earlier_lengths")
 """Facts of config.json that say how long a run is to be, and was to be before it was extended."""
 
-RECORDED_ONLY = ("settings", *LENGTHS, "versions", "subject", "torch_threads")
+RECORDED_ONLY = ("settings", *LENGTHS, "versions", "subject", "torch_threads", "ranks")
 """Facts of config.json that are not compared when a run goes on: settings and lengths are seen to one by one,
 the others may differ."""
 
@@ -84,6 +84,9 @@ def check_same(begun: Begun, facts: Mapping[str, Any], *, folder: Path, also: Co
 
 def say_other_bits(begun: Begun, facts: Mapping[str, Any]) -> None:
     """Say on standard error what of the machine is not as it was: then the bits will differ."""
+    ranks, now = begun.record.get("ranks", 1), facts["ranks"]
+    if ranks != now:
+        print(f"begun by {ranks} processes, now by {now}: the bits will differ", file=sys.stderr)
     threads, now = begun.record.get("torch_threads"), facts["torch_threads"]
     if threads != now:
         print(f"begun with {threads} threads, now {now}: the bits will differ", file=sys.stderr)

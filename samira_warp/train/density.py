@@ -47,6 +47,11 @@ class DensityStatistics:
         self.gradient += torch.where(visible, (means2d_gradient * scale).norm(dim=1), 0.0)
         self.views += visible
 
+    def include(self, other: DensityStatistics) -> None:
+        """Add what was gathered of other frames of the same Gaussians."""
+        self.gradient += other.gradient
+        self.views += other.views
+
     @property
     def mean(self) -> torch.Tensor:
         """(N,) mean gradient over the frames in which each Gaussian was visible."""

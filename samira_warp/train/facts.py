@@ -18,13 +18,16 @@ PACKAGES = ("samira-warp", "torch", "warp-lang", "numpy", "kornia", "transformer
 """Whose versions are written down."""
 
 
-def run_facts(plan: TrainPlan, sequence: TrackedSequence, *, perceptual: bool) -> dict[str, Any]:
+def run_facts(
+    plan: TrainPlan, sequence: TrackedSequence, *, perceptual: bool, ranks: int = 1
+) -> dict[str, Any]:
     """How a run is made: every setting, what it trains on, versions and threads, as plain JSON values.
 
     Args:
         plan: The run.
         sequence: Its dataset.
         perceptual: Whether there is an LPIPS term.
+        ranks: How many processes train.
     """
     versions = {name: version(name) for name in PACKAGES}
     facts = {
@@ -40,6 +43,7 @@ def run_facts(plan: TrainPlan, sequence: TrackedSequence, *, perceptual: bool) -
         "template_hash": sequence.template.hash,
         "versions": {"python": platform.python_version(), **versions},
         "torch_threads": torch.get_num_threads(),
+        "ranks": ranks,
     }
     return json.loads(json.dumps(facts))
 

@@ -51,23 +51,31 @@ class RunLog:
         self._board.close()
 
     def add(
-        self, step: int, terms: dict[str, torch.Tensor], *, gaussians: int, test_psnr: float | None = None
+        self,
+        step: int,
+        terms: dict[str, torch.Tensor],
+        *,
+        frames: int,
+        gaussians: int,
+        test_psnr: float | None = None,
     ) -> None:
-        """Add one step's detached scalars.
+        """Add the detached scalars of one step, or of several that were taken at once.
 
         Their means are written every LOG_EVERY steps, at the last one, and where test frames were looked at.
 
         Args:
             step: Number of steps done.
-            terms: Loss terms and ``mse``, the mean squared error of the image.
+            terms: Loss terms and ``mse``, the mean squared error of the image, summed over the steps.
+            frames: How many those were.
             gaussians: N.
             test_psnr: Of some test frames after this step, dB; None where nobody looked.
         """
         for name, value in terms.items():
             self._sums[name] = self._sums[name] + value if name in self._sums else value
-        self._count += 1
-        self._bar.update()
-        if step % LOG_EVERY == 0 or step == self._last or test_psnr is not None:
+        self._count += frames
+        self._bar.update(frames)
+        due = step // LOG_EVERY > (step - frames) // LOG_EVERY or step == self._last
+        if due or test_psnr is not None:
             self._write(step, gaussians, test_psnr)
 
     def preview(self, step: int, rendering: Rendering, target: Target, light: Environment) -> None:

@@ -21,6 +21,12 @@ from samira_warp.train.skin import mean_skin, skin_prior
 SURFACE_ALPHA = 0.5
 """Neighbouring pixels both covered more than this make a pair of the smoothness term."""
 
+TERMS = (
+    "l1", "ssim", "mask", "residual", "wrinkles", "lpips", "albedo", "skin", "light", "materials",
+    "normal_smoothness", "normal_prior", "response", "mse",
+)  # fmt: skip
+"""Everything that `total_loss` may give, in its order, and what is logged beside it."""
+
 LIGHT_LEAST = 1e-3
 """Of radiance in a logarithm: black is a hundred times as dark as a dim wall, and no darker."""
 

@@ -23,6 +23,9 @@ KEPT_BYTES = 1 << 29
 """Of what was traced; beyond it the frame that was not shown for longest is dropped, and traced again from
 the same parameters when it is shown."""
 
+_TRACED_WITH = ("translation", "rotations", "expression")
+"""Parameters of a frame that pose its mesh."""
+
 
 class FrameOcclusions:
     """What the head blocks in T training frames.
@@ -53,14 +56,32 @@ class FrameOcclusions:
             (head.in_head_frame() - occlusion.points).square().sum(dim=-1).max() > STALE**2
         ):
             self.traced[row] = True
-            for name in ("translation", "rotations", "expression"):
+            for name in _TRACED_WITH:
                 getattr(self, name)[row] = getattr(parameters, name)
             occlusion = self._keep(row, self._occluder.occlude(head))
         return occlusion.under(head)
 
+    def told(self, row: int) -> Tensor:
+        """(P,) float32: which frame, whether it was traced, and its parameters then, for another process."""
+        parts = [getattr(self, name)[row].flatten() for name in _TRACED_WITH]
+        head = parts[0].new_tensor([row, bool(self.traced[row])])
+        return torch.cat([head, *parts])
+
+    def take(self, told: Tensor) -> None:
+        """Know what another process has `told`: what was traced here with other parameters is dropped."""
+        row, rest = int(told[0]), told[2:]
+        if torch.equal(self.told(row), told):
+            return
+        self.traced[row] = bool(told[1])
+        for name in _TRACED_WITH:
+            values = getattr(self, name)[row]
+            part, rest = rest[: values.numel()], rest[values.numel() :]
+            values.copy_(part.view_as(values))
+        self._kept.pop(row, None)
+
     def state(self) -> dict[str, Tensor]:
         """What a checkpoint keeps, by name."""
-        return {name: getattr(self, name) for name in ("traced", "translation", "rotations", "expression")}
+        return {name: getattr(self, name) for name in ("traced", *_TRACED_WITH)}
 
     def load_state(self, tensors: Mapping[str, Tensor]) -> None:
         """Take what a checkpoint kept.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import nn
 
@@ -14,6 +16,9 @@ from samira_warp.train.tracking import TrackedParameters
 ADAM_EPSILON = 1e-15
 """Far below any gradient here, as 3DGS has it: the default 1e-8 would damp the small gradients of single
 Gaussians."""
+
+DECAY = (0.9, 0.999)
+"""Of the first and second moments from one frame to the next: Adam's own."""
 
 
 def make_optimizer(avatar: Avatar, tracked: TrackedParameters) -> RowAdam:
@@ -36,15 +41,27 @@ def make_optimizer(avatar: Avatar, tracked: TrackedParameters) -> RowAdam:
         [{"params": parameters, "name": name} for name, parameters in groups.items()]
         + [{"params": parameters, "name": name, "rows": True} for name, parameters in tables.items()],
         lr=0.0,
+        betas=DECAY,
         eps=ADAM_EPSILON,
         fused=True,
     )
 
 
-def set_rates(optimizer: torch.optim.Adam, *, step: int, steps: int) -> None:
-    """Give every group its rate at ``step`` of ``steps``."""
+def set_rates(optimizer: torch.optim.Adam, *, step: int, steps: int, frames: int = 1) -> None:
+    """Give every group its rate and decay at ``step`` of ``steps``, for the mean of some frames' gradients.
+
+    A frame's row learns from that frame alone, once, as it would by itself. What all frames share takes one
+    step for ``frames`` of them: root ``frames`` times as far, and the moments decay as they would in as many
+    steps, so that they reach as far back in frames. That is the square-root rule for Adam (Malladi et al., On
+    the SDEs and scaling rules for adaptive gradient algorithms, 2022), with the decay's powers as Zhao et al.
+    have them (On scaling up 3D Gaussian splatting training, 2024).
+    """
     for group in optimizer.param_groups:
+        alone = group.get("rows", False)
         group["lr"] = learning_rate(group["name"], step=step, steps=steps)
+        if not alone:
+            group["lr"] *= math.sqrt(frames)
+            group["betas"] = tuple(decay**frames for decay in DECAY)
 
 
 def reset_moments(optimizer: torch.optim.Adam, group_name: str) -> None:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -27,8 +29,9 @@ from samira_warp.train.config import PresetName, TrainConfig
 from samira_warp.train.facts import run_facts
 from samira_warp.train.folder import claimed
 from samira_warp.train.plan import TrainPlan, check_size, make_plan
+from samira_warp.train.ranks import Ranks, joined
 from samira_warp.train.results import score, summary, write_result
-from samira_warp.train.settings import LENGTH, check_config, resolve
+from samira_warp.train.settings import LENGTH, Settings, check_config, resolve
 from samira_warp.train.setup import PIXEL_CACHE_BYTES, start
 from samira_warp.train.source import find_source
 from samira_warp.train.trainer import Trainer
@@ -59,8 +62,9 @@ def train(config: TrainConfig, *, again: str = "the same command and --resume") 
     """
     check_config(config)
     out = config.out or Path("runs") / _name(config.data)
-    with claimed(out):
-        return _train(config, out, again)
+    with joined() as ranks, contextlib.ExitStack() as claim:
+        ranks.by_first(lambda: claim.enter_context(claimed(out)))
+        return _train(config, out, again, ranks)
 
 
 def _name(data: Path | None) -> str:
@@ -81,46 +85,71 @@ def at_its_sizes(lpips: Lpips | str, plan: TrainPlan) -> Lpips | str:
     return f"images are smaller than {SMALLEST_IMAGE} pixels" if min(smallest) < SMALLEST_IMAGE else lpips
 
 
-def _train(config: TrainConfig, out: Path, again: str) -> Path | None:
+def _train(config: TrainConfig, out: Path, again: str, ranks: Ranks) -> Path | None:
     """The run, in its folder."""
-    begun = find_begun(out, resume=config.resume)
+    begun = ranks.by_first(lambda: find_begun(out, resume=config.resume))
     source = find_source(config.data, begun, out=out)
-    settings = resolve(config, data=source.folder, out=out, begun=None if begun is None else begun.settings)
+    settings = _settings(config, source.folder, out, begun, ranks)
     check_size((settings.resolution, settings.resolution), resolution=settings.resolution)
     lpips = find_lpips(TRAINING_LPIPS[settings.preset], settings.lpips_weights)
     if config.resume and (begun is None or begun.checkpoint is None):
-        print(f"no checkpoint in {out} yet: starting from the beginning", file=sys.stderr)
+        ranks.say(f"no checkpoint in {out} yet: starting from the beginning")
     if source.make is not None:
-        source.make()
+        ranks.by_first(source.make)
     sequence = open_checked(settings.data, split=settings.split, flame=settings.flame)
     plan = make_plan(settings, sequence, config, begun=begun)
     lpips = at_its_sizes(lpips, plan)
-    facts = run_facts(plan, sequence, perceptual=isinstance(lpips, Lpips))
+    facts = run_facts(plan, sequence, perceptual=isinstance(lpips, Lpips), ranks=ranks.count)
     if begun is not None and begun.checkpoint is not None:
         check_same(begun, facts, folder=out)
     with PixelCache(sequence.frames, resolution=settings.resolution, max_bytes=PIXEL_CACHE_BYTES) as pixels:
-        trainer, record = _at_its_beginning(plan, sequence, pixels, facts, begun)
+        trainer, record = _at_its_beginning(plan, sequence, pixels, facts, begun, ranks)
         if isinstance(lpips, Lpips):
             trainer.perceptual = lpips.to(settings.device)
-        announce(plan, sequence, lpips, record["encoder"])
-        replace_file(out / CONFIG_FILE, json.dumps(record, indent=1))
+        if ranks.first:
+            announce(plan, sequence, lpips, record["encoder"])
+            replace_file(out / CONFIG_FILE, json.dumps(record, indent=1))
         if not _run_to_its_end(trainer, record, again):
             return None
-        _finish(trainer, lpips, record, again)
+        if ranks.first:
+            _finish(trainer, lpips, record, again)
     return out
 
 
+def _settings(config: TrainConfig, data: Path, out: Path, begun: Begun | None, ranks: Ranks) -> Settings:
+    """Every option's value, on this rank's own device where there are several.
+
+    Raises:
+        UserError: As `resolve` does, or the device cannot be divided.
+    """
+    before = None if begun is None else begun.settings
+    if ranks.count > 1 and config.device is None and before is not None:
+        before = before | {"device": ranks.device_name(before["device"].partition(":")[0])}
+    elif ranks.count > 1:
+        config = replace(config, device=ranks.device_name(config.device or "auto"))
+    return resolve(config, data=data, out=out, begun=before)
+
+
 def _at_its_beginning(
-    plan: TrainPlan, sequence: TrackedSequence, pixels: PixelCache, facts: dict[str, Any], begun: Begun | None
+    plan: TrainPlan,
+    sequence: TrackedSequence,
+    pixels: PixelCache,
+    facts: dict[str, Any],
+    begun: Begun | None,
+    ranks: Ranks,
 ) -> tuple[Trainer, dict[str, Any]]:
     """The trainer where the run begins or goes on, and the record of how the run was begun."""
     if begun is None or begun.checkpoint is None:
         first = start(plan, sequence, pixels)
         record = {**facts, "reference_frame": first.reference, "encoder": first.encoder}
-        return Trainer(plan, sequence, pixels, first.avatar), record
-    trainer = Trainer(plan, sequence, pixels, Avatar.load(begun.checkpoint, device=plan.settings.device))
+        ranks.take_firsts(list(first.avatar.state_dict().values()))
+        first.avatar.set_gaussians(first.avatar.gaussians)
+        return Trainer(plan, sequence, pixels, first.avatar, ranks=ranks), record
+    avatar = Avatar.load(begun.checkpoint, device=plan.settings.device)
+    trainer = Trainer(plan, sequence, pixels, avatar, ranks=ranks)
     trainer.resume(begun.checkpoint)
-    say_other_bits(begun, facts)
+    if ranks.first:
+        say_other_bits(begun, facts)
     return trainer, _going_on(begun, facts)
 
 
@@ -141,25 +170,19 @@ def _run_to_its_end(trainer: Trainer, record: dict[str, Any], again: str) -> boo
     Raises:
         KeyboardInterrupt: It was pressed until the run gave up what it had not saved yet.
     """
-    out, steps = trainer.plan.settings.out, trainer.plan.schedule.steps
+    out, steps, say = trainer.plan.settings.out, trainer.plan.schedule.steps, trainer.ranks.say
     if trainer.step == steps:
-        print(
-            f"all {steps} steps are done; --max-steps MORE or --epochs MORE extends the run", file=sys.stderr
-        )
+        say(f"all {steps} steps are done; --max-steps MORE or --epochs MORE extends the run")
     try:
         finished = trainer.run(out, record=record)
     except KeyboardInterrupt:
-        print(
+        say(
             f"given up at step {trainer.step} of {steps}, last saved at {trainer.saved}; "
-            f"go on from there with {again}",
-            file=sys.stderr,
+            f"go on from there with {again}"
         )
         raise
     if not finished:
-        print(
-            f"stopped at step {trainer.step} of {steps}; go on with {again}",
-            file=sys.stderr,
-        )
+        say(f"stopped at step {trainer.step} of {steps}; go on with {again}")
     return finished
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from samira_warp.train.interrupt import StopRequest
 from samira_warp.train.jitter import jittered, tracking_noise
 from samira_warp.train.limits import hold_shapes, longest_axes
 from samira_warp.train.log import RunLog
-from samira_warp.train.losses import Known, Target, linear_albedo, loss_weights, total_loss
+from samira_warp.train.losses import TERMS, Known, Target, linear_albedo, loss_weights, total_loss
 from samira_warp.train.materials import hold_known
 from samira_warp.train.neighbours import neighbourhood
 from samira_warp.train.occlusions import FrameOcclusions
@@ -34,6 +35,7 @@ from samira_warp.train.optimizer import (
     set_rates,
 )
 from samira_warp.train.plan import TrainPlan
+from samira_warp.train.ranks import ALONE, Ranks
 from samira_warp.train.skin import skin_faces
 from samira_warp.train.tracking import TrackedParameters
 from samira_warp.train.unseen import guess_unseen, hold_guesses, look
@@ -52,10 +54,13 @@ SETTLING_VIEWS = 96
 
 
 class Trainer:
-    """Fits an avatar to a sequence, one frame a step.
+    """Fits an avatar to a sequence, one frame a step; several ranks take as many steps at once.
 
     Every random choice is a function of the seed and the step, so a run that goes on from a checkpoint makes
     the same ones.
+
+    Attributes:
+        step: Number of steps done by all ranks together.
     """
 
     def __init__(
@@ -64,8 +69,11 @@ class Trainer:
         sequence: TrackedSequence,
         pixels: PixelCache,
         avatar: Avatar,
+        *,
+        ranks: Ranks = ALONE,
     ) -> None:
         self.plan, self.sequence, self.pixels, self.avatar = plan, sequence, pixels, avatar
+        self.ranks = ranks
         self.settings, self.schedule = plan.settings, plan.schedule
         self.weights = loss_weights(plan.settings.ablate)
         self.perceptual: Lpips | None = None
@@ -92,27 +100,42 @@ class Trainer:
         Returns:
             False when Ctrl-C ended it early; a checkpoint was saved.
         """
-        with RunLog(folder, steps=self.schedule.steps, start=self.step) as log, StopRequest() as stop:
-            while self.step < self.schedule.steps and not stop.asked:
+        steps = self.schedule.steps
+        writes: RunLog | nullcontext[None] = (
+            RunLog(folder, steps=steps, start=self.step) if self.ranks.first else nullcontext()
+        )
+        with writes as log, StopRequest() as stop:
+            while self.step < steps and not self.ranks.any(stop.asked):
                 self._prefetch()
+                begun = self.step
                 rendering, target, terms = self.train_step()
-                shows = self.step % self.settings.preview_every == 0 or self.step == self.schedule.steps
-                test_psnr = self.test_psnr() if shows else None
-                log.add(self.step, terms, gaussians=len(self.avatar.gaussians), test_psnr=test_psnr)
-                if shows:
-                    log.preview(self.step, rendering, target, self.avatar.light.environment())
-                if self.step % self.settings.checkpoint_every == 0 or self.step == self.schedule.steps:
+                if log is not None:
+                    shows = self._due(self.settings.preview_every, begun)
+                    log.add(
+                        self.step,
+                        terms,
+                        frames=self.step - begun,
+                        gaussians=len(self.avatar.gaussians),
+                        test_psnr=self.test_psnr() if shows else None,
+                    )
+                    if shows:
+                        log.preview(self.step, rendering, target, self.avatar.light.environment())
+                if self._due(self.settings.checkpoint_every, begun):
                     self.save(folder, record)
-            finished = self.step == self.schedule.steps
+            finished = self.step == steps
             if not finished:
                 self.save(folder, record)
         return finished
 
-    def save(self, folder: Path, record: dict[str, Any]) -> Path:
-        """Write a checkpoint of the current step."""
-        path = save_checkpoint(folder / CHECKPOINTS_FOLDER, self._state(), record=record)
+    def _due(self, every: int, begun: int) -> bool:
+        """Whether what is done every so many steps, and at the last, is due after those from ``begun`` on."""
+        return self.step // every > begun // every or self.step == self.schedule.steps
+
+    def save(self, folder: Path, record: dict[str, Any]) -> None:
+        """Write a checkpoint of the current step, which the first rank does."""
+        if self.ranks.first:
+            save_checkpoint(folder / CHECKPOINTS_FOLDER, self._state(), record=record)
         self.saved = self.step
-        return path
 
     def settle(self) -> None:
         """Guess what no training picture saw (`train.unseen`)."""
@@ -123,6 +146,8 @@ class Trainer:
             for row, frame in frames
         )
         guess_unseen(self.avatar, look(self.avatar, views), self.known.neighbours)
+        # what is counted on a GPU may differ in its last bits from rank to rank
+        self.ranks.take_firsts(list(self.avatar.gaussians.state_dict().values()))
         forget_gaussians(self.optimizer, self.avatar.gaussians.guessed)
 
     @torch.no_grad()
@@ -137,29 +162,35 @@ class Trainer:
         return float(torch.stack(found).mean())
 
     def train_step(self) -> tuple[Rendering, Target, dict[str, torch.Tensor]]:
-        """One frame forward, backward and updated.
+        """One frame of every rank forward and backward, and what they learned updated.
+
+        Near the end of a run there may be fewer frames than ranks: those that are left without one show the
+        last one, which does not count.
 
         Returns:
-            The rendering, what it should be, and the detached loss terms by name with ``mse``, the mean
-            squared error of the image.
+            This rank's rendering, what it should be, and the detached loss terms by name, summed over the
+            frames of all ranks, with ``mse``, the mean squared error of the image.
         """
-        if self.schedule.extended_at(self.step):
+        taken = range(self.step, min(self.step + self.ranks.count, self.schedule.steps))
+        own = self.step + self.ranks.index
+        step, counts = min(own, taken[-1]), own in taken
+        if any(map(self.schedule.extended_at, taken)):
             # what was gathered before belongs to a window that had closed
             self.density = DensityStatistics(len(self.avatar.gaussians), self.device)
-        if self.schedule.settles(self.step):
+        if any(map(self.schedule.settles, taken)):
             self.settle()
-        row = self._row(self.step)
+        row = self._row(step)
         stage_two = "no-two-stage" in self.settings.ablate or self.schedule.in_stage_two(self.step)
         self.avatar.gaussians.normals.requires_grad_(stage_two)
         self.avatar.response_logits.requires_grad_(stage_two)
         if self.avatar.motion.slopes is not None:
             self.avatar.motion.slopes.requires_grad_(stage_two)
-        set_rates(self.optimizer, step=self.step, steps=self.schedule.steps)
-        frame, target = self._target(row)
+        set_rates(self.optimizer, step=self.step, steps=self.schedule.steps, frames=len(taken))
+        frame, target = self._target(row, step)
         camera = self.camera(frame)
-        rendering = self._render(row, frame, camera, target.background)
+        rendering = self._render(row, step, frame, camera, target.background)
         perceptual = (
-            self.perceptual if self.schedule.perceptual_on(self.step) and self._perceptual_turn() else None
+            self.perceptual if self.schedule.perceptual_on(step) and self._perceptual_turn(step) else None
         )
         terms = total_loss(
             rendering,
@@ -172,32 +203,76 @@ class Trainer:
         )
         self.optimizer.zero_grad(set_to_none=True)
         torch.stack(list(terms.values())).sum().backward()
-        self._gather_density(rendering)
+        error = (rendering.image.detach() - target.image).square().mean()
+        shown = {**{name: term.detach() for name, term in terms.items()}, "mse": error}
+        screened = self._screened(rendering, step)
+        if self.ranks.count > 1:
+            shown = self._exchange(shown, screened, row, counts=counts, frames=len(taken))
+        self.density.include(screened)
         hold_known(self.avatar.gaussians, self.known.materials.held)
         hold_guesses(self.avatar.gaussians)
-        self.optimizer.step(rows=[row])
+        self.optimizer.step(rows=dict.fromkeys(map(self._row, taken)))
         hold_shapes(self.avatar.gaussians, self.known.face_scales, self.longest_axes)
-        self._control_density()
-        self.step += 1
-        error = (rendering.image.detach() - target.image).square().mean()
-        return rendering, target, {**{name: term.detach() for name, term in terms.items()}, "mse": error}
+        self._control_density(taken)
+        self.step += len(taken)
+        return rendering, target, shown
 
-    def _render(self, row: int, frame: Frame, camera: Camera, background: torch.Tensor) -> Rendering:
+    def _exchange(
+        self,
+        shown: dict[str, torch.Tensor],
+        screened: DensityStatistics,
+        row: int,
+        *,
+        counts: bool,
+        frames: int,
+    ) -> dict[str, torch.Tensor]:
+        """Make what this rank learned from its frame what all ranks did from theirs.
+
+        Gradients become those of the mean of the frames' objectives, what density control gathers is added
+        up, and what was traced of every rank's frame is known to all.
+
+        Args:
+            shown: Loss terms by name.
+            screened: What density control gathers of this rank's frame; changed in place.
+            row: The training frame.
+            counts: Whether the frame is counted; else it is here to take part.
+            frames: How many are.
+
+        Returns:
+            The terms' sums.
+        """
+        self.ranks.average_gradients(self.optimizer, counts=counts, frames=frames)
+        gathered = self.ranks.summed([screened.gradient, screened.views], counts=counts)
+        screened.gradient, screened.views = gathered
+        scalars = [torch.Size()] * len(TERMS)
+        terms = self.ranks.summed_where_any([shown.get(name) for name in TERMS], scalars, counts=counts)
+        if self.avatar.settings.visibility:
+            for told in self.ranks.gathered(self.occlusions.told(row)):
+                self.occlusions.take(told)
+        return {name: total for name, total in zip(TERMS, terms, strict=True) if total is not None}
+
+    def _render(
+        self, row: int, step: int, frame: Frame, camera: Camera, background: torch.Tensor
+    ) -> Rendering:
         """`Avatar.render` of a training frame under the learned light, with what was traced of it before."""
         avatar = self.avatar
         parameters = self.tracked.frame(row, frame.parameters.to(self.device))
-        motion, light, arrival = avatar.move(parameters, seen=self._seen(parameters)), avatar.light(), None
+        motion, light, arrival = (
+            avatar.move(parameters, seen=self._seen(parameters, step)),
+            avatar.light(),
+            None,
+        )
         if avatar.settings.visibility:
             occlusion = self.occlusions.of(row, parameters, motion.head)
             arrival = avatar.arrival(occlusion, light, camera)
         gbuffer = avatar.rasterize(motion, camera, arrival=arrival)
         return avatar.shade(motion, gbuffer, camera, light, background=background)
 
-    def _seen(self, parameters: FrameParameters) -> FrameParameters | None:
-        """What the motion network sees of a frame at this step: another draw of the tracker's noise."""
+    def _seen(self, parameters: FrameParameters, step: int) -> FrameParameters | None:
+        """What the motion network sees of a frame at a step: another draw of the tracker's noise."""
         if not (self.settings.jitter and self.avatar.settings.residual):
             return None
-        generator = torch.Generator().manual_seed(self.settings.seed * 1_000_003 + self.step + JITTER_STREAM)
+        generator = torch.Generator().manual_seed(self.settings.seed * 1_000_003 + step + JITTER_STREAM)
         return jittered(parameters, self.noise, generator=generator)
 
     def _state(self) -> TrainingState:
@@ -217,10 +292,11 @@ class Trainer:
         return int(torch.randperm(count, generator=generator)[place])
 
     def _prefetch(self) -> None:
-        ahead = range(self.step, min(self.step + PREFETCH, self.schedule.steps))
+        count, own = self.ranks.count, self.step + self.ranks.index
+        ahead = range(own, min(own + PREFETCH * count, self.schedule.steps), count)
         self.pixels.prefetch(self.sequence.train[self._row(step)] for step in ahead)
 
-    def _target(self, row: int) -> tuple[Frame, Target]:
+    def _target(self, row: int, step: int) -> tuple[Frame, Target]:
         index = self.sequence.train[row]
         content = self.pixels[index]
         matted = bool((content.mask < 1.0).any())
@@ -229,38 +305,47 @@ class Trainer:
         if albedo is not None:
             albedo = linear_albedo(albedo, color_space=self.settings.color_space)
         mask = content.mask if matted else None
-        background = self._background(matted)
+        background = self._background(matted, step)
         image = content.image
         if mask is not None:
             # what white was behind, this colour is behind now
             image = image - (1.0 - mask[..., None]) * (1.0 - background)
         return self.sequence.frames[index], Target(image, mask, albedo, background)
 
-    def _background(self, matted: bool) -> torch.Tensor:
+    def _background(self, matted: bool, step: int) -> torch.Tensor:
         """(3,) display values behind the head: another colour every other step, from seed and step alone.
 
         On one colour, coverage and colour make up for each other along the silhouette; on white, as pictures
         are compared, they are to be exact. White where no matte says what is behind.
         """
-        if not matted or self.step % 2 == 0:
+        if not matted or step % 2 == 0:
             return torch.ones(3, device=self.device)
-        generator = torch.Generator().manual_seed(self.settings.seed * 1_000_003 + self.step)
+        generator = torch.Generator().manual_seed(self.settings.seed * 1_000_003 + step)
         return torch.rand(3, generator=generator).to(self.device)
 
-    def _perceptual_turn(self) -> bool:
+    def _perceptual_turn(self, step: int) -> bool:
         """LPIPS is every fourth step's in the cpu preset, and every step's otherwise."""
-        return self.settings.preset != "cpu" or self.step % 4 == 0
+        return self.settings.preset != "cpu" or step % 4 == 0
 
-    def _gather_density(self, rendering: Rendering) -> None:
-        screen = rendering.gbuffer.screen
-        if self.schedule.density_window(self.step) and screen.means2d.grad is not None:
+    def _screened(self, rendering: Rendering, step: int) -> DensityStatistics:
+        """What density control gathers of one frame: nothing outside its window."""
+        gathered, screen = (
+            DensityStatistics(len(self.avatar.gaussians), self.device),
+            rendering.gbuffer.screen,
+        )
+        if self.schedule.density_window(step) and screen.means2d.grad is not None:
             height, width = rendering.image.shape[:2]
-            self.density.add(screen.means2d.grad, screen.visible, width=width, height=height)
+            gathered.add(screen.means2d.grad, screen.visible, width=width, height=height)
+        return gathered
 
-    def _control_density(self) -> None:
-        """Add and remove Gaussians, reset opacity and refresh UV coordinates where the schedule says so."""
+    def _control_density(self, taken: range) -> None:
+        """Add and remove Gaussians, reset opacity and refresh UV coordinates where the schedule says so.
+
+        Args:
+            taken: The steps just taken.
+        """
         avatar, canonical = self.avatar, self.avatar.canonical
-        if self.schedule.density_event(self.step):
+        if any(map(self.schedule.density_event, taken)):
             generator = torch.Generator().manual_seed(self.settings.seed * 1_000_003 + self.step)
             areas = face_areas(canonical.vertices, canonical.topology.faces)
             change = control_density(
@@ -273,10 +358,11 @@ class Trainer:
             )
             replace_gaussians(self.optimizer, avatar.gaussians, change.gaussians, change.kept)
             self._refresh_uv(change.gaussians)
+            self.ranks.check_equal("Gaussians", len(change.gaussians))
             self.density = DensityStatistics(len(change.gaussians), self.device)
-        elif self.schedule.density_ends(self.step):
+        elif any(map(self.schedule.density_ends, taken)):
             self._refresh_uv(avatar.gaussians)
-        if self.schedule.opacity_reset(self.step):
+        if any(map(self.schedule.opacity_reset, taken)):
             reset_opacity(avatar.gaussians)
             reset_moments(self.optimizer, "opacity_logits")
 
