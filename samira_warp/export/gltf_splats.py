@@ -39,7 +39,9 @@ def write(source: ExportSource, path: Path) -> str:
 def encode(splats: Splats, *, name: str) -> bytes:
     """The bytes of a file, whose node has a name."""
     attributes = _attributes(splats)
-    views, accessors, offset = [], [], 0
+    views: list[dict[str, Any]] = []
+    accessors: list[dict[str, Any]] = []
+    offset = 0
     for values in attributes.values():
         views.append(
             {"buffer": 0, "byteOffset": offset, "byteLength": values.nbytes, "target": _ARRAY_BUFFER}
