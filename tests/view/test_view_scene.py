@@ -17,7 +17,8 @@ from samira_warp.view.carried import Carrier
 from samira_warp.view.command_line import command_of, viewpoint_of
 from samira_warp.view.lights import Lights
 from samira_warp.view.look import Look
-from samira_warp.view.posing import Poser, expression_controls, joint_controls
+from samira_warp.stage.face_controls import expression_controls, joint_controls
+from samira_warp.view.posing import Poser
 from samira_warp.view.scene import Scene, Shown, Sides
 from samira_warp.view.stages import Stages
 from samira_warp.view.state import Comparison, Lamp, Light, Pose, State

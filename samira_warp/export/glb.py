@@ -1,0 +1,217 @@
+"""A head as a mesh in a .glb (glTF 2.0): skinned, with expressions, textures and the avatar's frames.
+
+Its material is glTF's metallic-roughness with KHR_materials_specular, which has a place for all that an
+avatar's surface is made of: the base colour is the albedo, F0 the specular reflectance, and roughness is
+perceptual in both. What a mesh does not have: Gaussians off its surface (hair is paint), the motion residual
+and its wrinkles, response factors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+import numpy as np
+import pygltflib
+import torch
+from torch import Tensor
+
+from samira_warp.avatar import CanonicalHead
+from samira_warp.export.baking import Textures, bake
+from samira_warp.export.gltf import GltfFile
+from samira_warp.export.mesh import SplitMesh, tangent_frames
+from samira_warp.export.rigging import RestJoints, has_correctives, joint_tracks, pose_weights, tell_offsets
+from samira_warp.export.source import ExportSource
+from samira_warp.head import FrameParameters, HeadTemplate
+from samira_warp.io.images import to_uint8
+from samira_warp.light import encode_srgb
+
+FRAMES_PER_SECOND = 25.0
+"""Of the animation; `samira-warp render --video` has the same."""
+
+TEXTURE_SIZE = 1024
+"""Texels along a side, unless asked otherwise: on a face 0.4 mm, finer than what most pictures show."""
+
+DIELECTRIC = 0.04
+"""F0 of glTF's materials, which KHR_materials_specular multiplies."""
+
+INFLUENCES = 4
+"""Joints in one set of an attribute; a vertex with more has a second set, the least of them there."""
+
+
+def write(source: ExportSource, path: Path) -> str:
+    """Write the head with the chosen frames as its animation."""
+    canonical = source.avatar.canonical
+    mesh = SplitMesh.of(canonical.template)
+    size = source.config.texture_size or TEXTURE_SIZE
+    textures = bake(source.avatar, source.frames, mesh, size=size)
+    parameters = FrameParameters.stack([frame.parameters for frame in source.chosen])
+    tell_offsets(parameters)
+    file = GltfFile()
+    _add_head(file, canonical, mesh, textures)
+    _add_animation(file, canonical, parameters)
+    file.write(path)
+    targets = len(file.document.meshes[0].extras["targetNames"])
+    return (
+        f"{len(mesh.source):,} vertices, {len(canonical.rig.joint_names)} joints, {targets} morph targets, "
+        f"{len(source.chosen)} frames, textures of {textures.albedo.shape[0]} texels"
+    )
+
+
+def target_shapes(template: HeadTemplate) -> dict[str, np.ndarray]:
+    """(V, 3) metres of every morph target by name: expressions, then pose correctives if there are any.
+
+    A corrective's weight is an entry of a joint's rotation less the identity's: "neck 01" is row 0, column 1.
+    """
+    expressions = template.shapedirs[:, :, template.n_shape :]
+    shapes = {name: expressions[:, :, i] for i, name in enumerate(template.expression_names)}
+    if has_correctives(template):
+        places = [f"{row}{column}" for row in range(3) for column in range(3)]
+        entries = [f"{name} {place}" for name in template.joint_names[1:] for place in places]
+        shapes |= {name: template.posedirs[:, :, i] for i, name in enumerate(entries)}
+    return shapes
+
+
+def _add_head(file: GltfFile, canonical: CanonicalHead, mesh: SplitMesh, textures: Textures) -> None:
+    """Nodes 0 to J - 1 are the joints, node J the mesh."""
+    document, template = file.document, canonical.template
+    joints = _add_joints(file, canonical)
+    attributes, targets = _geometry(file, canonical, mesh)
+    faces = file.numbers(mesh.faces.numpy().astype(np.uint32).ravel(), target=pygltflib.ELEMENT_ARRAY_BUFFER)
+    primitive = pygltflib.Primitive(
+        attributes=attributes, indices=faces, material=_add_material(file, textures), targets=targets
+    )
+    names = list(target_shapes(template))
+    document.meshes.append(
+        pygltflib.Mesh(
+            name="head", primitives=[primitive], weights=[0.0] * len(names), extras={"targetNames": names}
+        )
+    )
+    document.nodes.append(pygltflib.Node(name="head mesh", mesh=0, skin=0))
+    document.scenes.append(pygltflib.Scene(name="avatar", nodes=[joints, len(document.nodes) - 1]))
+    document.scene = 0
+
+
+def _add_joints(file: GltfFile, canonical: CanonicalHead) -> int:
+    """The joints' nodes and their skin; the root's index."""
+    document, rig = file.document, canonical.rig
+    places = RestJoints.of(canonical).places.double()
+    for joint, (name, parent) in enumerate(zip(rig.joint_names, rig.parents, strict=True)):
+        place = places[joint] - (places[parent] if parent >= 0 else 0.0)
+        children = [child for child, above in enumerate(rig.parents) if above == joint]
+        document.nodes.append(pygltflib.Node(name=name, translation=place.tolist(), children=children))
+    inverse = np.tile(np.eye(4, dtype=np.float32), (len(places), 1, 1))
+    inverse[:, :3, 3] = -places.numpy()
+    matrices = file.numbers(inverse)
+    ids = list(range(len(places)))
+    document.skins.append(pygltflib.Skin(name="head", joints=ids, skeleton=0, inverseBindMatrices=matrices))
+    return 0
+
+
+def _geometry(
+    file: GltfFile, canonical: CanonicalHead, mesh: SplitMesh
+) -> tuple[pygltflib.Attributes, list[dict[str, int]]]:
+    """The accessors of the head at rest, and of what each morph target adds to it."""
+    vertices = canonical.vertices
+
+    def added(values: Tensor, *, bounds: bool = False) -> int:
+        return file.numbers(values.float().numpy(), bounds=bounds, target=pygltflib.ARRAY_BUFFER)
+
+    rest = tangent_frames(vertices, mesh)
+    attributes = pygltflib.Attributes(
+        POSITION=added(vertices[mesh.source], bounds=True),
+        NORMAL=added(rest.normals),
+        TANGENT=added(torch.cat([rest.tangents, rest.signs[:, None]], dim=1)),
+        # v goes down in glTF
+        TEXCOORD_0=added(torch.stack([mesh.uv[:, 0], 1.0 - mesh.uv[:, 1]], dim=1)),
+    )
+    for number, (ids, weights) in enumerate(_skinning(canonical.rig.weights[mesh.source])):
+        joints = file.numbers(ids.numpy().astype(np.uint16), target=pygltflib.ARRAY_BUFFER)
+        setattr(attributes, f"JOINTS_{number}", joints)
+        setattr(attributes, f"WEIGHTS_{number}", added(weights))
+    targets = []
+    for shape in target_shapes(canonical.template).values():
+        delta = torch.tensor(shape)
+        turned = tangent_frames(vertices + delta, mesh).normals - rest.normals
+        targets.append({"POSITION": added(delta[mesh.source], bounds=True), "NORMAL": added(turned)})
+    return attributes, targets
+
+
+def _skinning(weights: Tensor) -> Iterable[tuple[Tensor, Tensor]]:
+    """(M, 4) ids of joints and (M, 4) weights, the greatest first, in as many sets as it takes."""
+    most = int((weights > 0.0).sum(dim=1).max())
+    sets = max(-(-most // INFLUENCES), 1)
+    padded = torch.nn.functional.pad(weights, (0, max(sets * INFLUENCES - weights.shape[1], 0)))
+    values, ids = padded.sort(dim=1, descending=True, stable=True)
+    values, ids = values[:, : sets * INFLUENCES], ids[:, : sets * INFLUENCES]
+    values = values.double() / values.double().sum(dim=1, keepdim=True)
+    ids = torch.where(values > 0.0, ids, 0)
+    return zip(ids.split(INFLUENCES, dim=1), values.float().split(INFLUENCES, dim=1), strict=True)
+
+
+def _add_material(file: GltfFile, textures: Textures) -> int:
+    """The material of the textures; its index."""
+
+    def texture(values: Tensor, name: str) -> int:
+        return file.texture(to_uint8(values.numpy()), name=name)
+
+    packed = torch.stack(
+        [textures.occlusion, textures.roughness, torch.zeros_like(textures.roughness)], dim=-1
+    )
+    strongest = float(textures.specular.max())
+    f0 = encode_srgb(textures.specular / strongest)[..., None].expand(-1, -1, 3)
+    color = pygltflib.TextureInfo(index=texture(encode_srgb(textures.albedo), "base color"))
+    rough = pygltflib.TextureInfo(index=texture(packed, "occlusion, roughness, metallic"))
+    specular = {
+        "specularColorFactor": [strongest / DIELECTRIC] * 3,
+        "specularColorTexture": {"index": texture(f0.contiguous(), "specular color")},
+    }
+    file.document.extensionsUsed.append("KHR_materials_specular")
+    file.document.materials.append(
+        pygltflib.Material(
+            name="head",
+            pbrMetallicRoughness=pygltflib.PbrMetallicRoughness(
+                baseColorFactor=[1.0] * 4,
+                baseColorTexture=color,
+                metallicFactor=0.0,
+                roughnessFactor=1.0,
+                metallicRoughnessTexture=rough,
+            ),
+            normalTexture=pygltflib.NormalMaterialTexture(
+                index=texture(0.5 * textures.normal + 0.5, "normal"), scale=1.0
+            ),
+            occlusionTexture=pygltflib.OcclusionTextureInfo(index=rough.index, strength=1.0),
+            alphaMode=pygltflib.OPAQUE,
+            alphaCutoff=None,
+            # heads are open at the neck, and some at the mouth and the eyes
+            doubleSided=True,
+            extensions={"KHR_materials_specular": specular},
+        )
+    )
+    return 0
+
+
+def _add_animation(file: GltfFile, canonical: CanonicalHead, parameters: FrameParameters) -> None:
+    """The frames, one after the other, as turns and places of the joints and weights of the morph targets."""
+    tracks = joint_tracks(canonical, parameters)
+    weights = parameters.expression.double()
+    if has_correctives(canonical.template):
+        weights = torch.cat([weights, pose_weights(parameters)], dim=1)
+    times = np.arange(len(parameters), dtype=np.float32) / np.float32(FRAMES_PER_SECOND)
+    animation = pygltflib.Animation(name="sequence")
+    input_times = file.numbers(times, bounds=True)
+    mesh_node = len(canonical.rig.joint_names)
+
+    def animate(node: int, path: str, values: Tensor) -> None:
+        output = file.numbers(values.float().numpy())
+        sampler = pygltflib.AnimationSampler(input=input_times, output=output, interpolation="LINEAR")
+        target = pygltflib.AnimationChannelTarget(node=node, path=path)
+        animation.channels.append(pygltflib.AnimationChannel(sampler=len(animation.samplers), target=target))
+        animation.samplers.append(sampler)
+
+    for joint in range(mesh_node):
+        animate(joint, "rotation", tracks.rotations[:, joint])
+        animate(joint, "translation", tracks.translations[:, joint])
+    if weights.shape[1]:
+        animate(mesh_node, "weights", weights.flatten())
+    file.document.animations.append(animation)
