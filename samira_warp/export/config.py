@@ -33,6 +33,8 @@ class ExportConfig:
     """For a sequence, which of the frames of --split, A:B:STEP as Python slices them; default all."""
     split: Literal["train", "test"] | None = None
     """For a sequence, which of the avatar's own frames; default the test frames."""
+    spz_version: Literal[2, 3, 4] = 4
+    """Of a .spz: 4 is the newest, 2 is what most programs open."""
     albedo: bool = False
     """The colour of the materials alone, under no light."""
     env: tuple[Path, ...] = ()

@@ -14,7 +14,7 @@ from samira_warp.support.errors import UserError
 if TYPE_CHECKING:
     from samira_warp.export.source import ExportSource
 
-Format = Literal["ply", "ply-sequence", "glb", "avatar-web"]
+Format = Literal["ply", "ply-sequence", "spz", "gltf-splats", "usd", "glb", "avatar-web"]
 """Names of `FORMATS`."""
 
 Writer = Callable[["ExportSource", Path], str]
@@ -69,7 +69,7 @@ class ExportFormat:
     def check_installed(self) -> None:
         """Raise UserError unless everything that the format imports is there; nothing is imported."""
         for module, package in self.libraries:
-            if importlib.util.find_spec(module) is None:
+            if not _is_there(module):
                 expected = f"{package} (pip install 'samira-warp[{self.extra}]')"
                 raise UserError(f"--format {self.name}", expected=expected, found="it is not installed")
 
@@ -79,21 +79,24 @@ class ExportFormat:
         return loaded
 
 
+def _is_there(module: str) -> bool:
+    try:
+        return importlib.util.find_spec(module) is not None
+    except ModuleNotFoundError:  # of what it is in
+        return False
+
+
 FORMATS: dict[Format, ExportFormat] = {
     entry.name: entry
     for entry in (
         ExportFormat("ply", "ply", (".ply",)),
         ExportFormat("ply-sequence", "ply_sequence", target="files", frames="many"),
+        ExportFormat("spz", "spz", (".spz",), libraries=(("zstandard", "zstandard"),), extra="spz"),
+        ExportFormat("gltf-splats", "gltf_splats", (".glb",)),
         ExportFormat(
-            "glb",
-            "glb",
-            (".glb",),
-            frames="many",
-            libraries=(("pygltflib", "pygltflib"),),
-            extra="export",
-            lit=False,
-            textures=True,
+            "usd", "usd", (".usdc", ".usda", ".usdz"), libraries=(("pxr.UsdVol", "usd-core"),), extra="usd"
         ),
+        ExportFormat("glb", "glb", (".glb",), frames="many", lit=False, textures=True),
         ExportFormat("avatar-web", "avatar_web", target="folder", frames="many"),
     )
 }

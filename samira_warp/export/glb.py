@@ -10,15 +10,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-import pygltflib
 import torch
 from torch import Tensor
 
 from samira_warp.avatar import CanonicalHead
 from samira_warp.export.baking import Textures, bake
-from samira_warp.export.gltf import GltfFile
+from samira_warp.export.gltf import ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER, GltfFile
 from samira_warp.export.mesh import SplitMesh, tangent_frames
 from samira_warp.export.rigging import RestJoints, has_correctives, joint_tracks, pose_weights, tell_offsets
 from samira_warp.export.source import ExportSource
@@ -51,7 +51,7 @@ def write(source: ExportSource, path: Path) -> str:
     _add_head(file, canonical, mesh, textures)
     _add_animation(file, canonical, parameters)
     file.write(path)
-    targets = len(file.document.meshes[0].extras["targetNames"])
+    targets = len(target_shapes(canonical.template))
     return (
         f"{len(mesh.source):,} vertices, {len(canonical.rig.joint_names)} joints, {targets} morph targets, "
         f"{len(source.chosen)} frames, textures of {textures.albedo.shape[0]} texels"
@@ -73,62 +73,58 @@ def target_shapes(template: HeadTemplate) -> dict[str, np.ndarray]:
 
 
 def _add_head(file: GltfFile, canonical: CanonicalHead, mesh: SplitMesh, textures: Textures) -> None:
-    """Nodes 0 to J - 1 are the joints, node J the mesh."""
-    document, template = file.document, canonical.template
-    joints = _add_joints(file, canonical)
+    """The scene: nodes 0 to J - 1 are the joints, node J the mesh."""
+    _add_joints(file, canonical)
     attributes, targets = _geometry(file, canonical, mesh)
-    faces = file.numbers(mesh.faces.numpy().astype(np.uint32).ravel(), target=pygltflib.ELEMENT_ARRAY_BUFFER)
-    primitive = pygltflib.Primitive(
-        attributes=attributes, indices=faces, material=_add_material(file, textures), targets=targets
-    )
-    names = list(target_shapes(template))
-    document.meshes.append(
-        pygltflib.Mesh(
-            name="head", primitives=[primitive], weights=[0.0] * len(names), extras={"targetNames": names}
-        )
-    )
-    document.nodes.append(pygltflib.Node(name="head mesh", mesh=0, skin=0))
-    document.scenes.append(pygltflib.Scene(name="avatar", nodes=[joints, len(document.nodes) - 1]))
-    document.scene = 0
+    names = list(target_shapes(canonical.template))
+    primitive = {
+        "attributes": attributes,
+        "indices": file.numbers(mesh.faces.numpy().astype(np.uint32).ravel(), target=ELEMENT_ARRAY_BUFFER),
+        "material": _add_material(file, textures),
+    }
+    shaped = {}
+    if names:
+        primitive["targets"] = targets
+        shaped = {"weights": [0.0] * len(names), "extras": {"targetNames": names}}
+    head = file.add("meshes", name="head", primitives=[primitive], **shaped)
+    node = file.add("nodes", name="head mesh", mesh=head, skin=0)
+    file.document["scene"] = file.add("scenes", name="avatar", nodes=[0, node])
 
 
-def _add_joints(file: GltfFile, canonical: CanonicalHead) -> int:
-    """The joints' nodes and their skin; the root's index."""
-    document, rig = file.document, canonical.rig
+def _add_joints(file: GltfFile, canonical: CanonicalHead) -> None:
+    """The joints' nodes, the root first, and their skin."""
+    rig = canonical.rig
     places = RestJoints.of(canonical).places.double()
     for joint, (name, parent) in enumerate(zip(rig.joint_names, rig.parents, strict=True)):
         place = places[joint] - (places[parent] if parent >= 0 else 0.0)
         children = [child for child, above in enumerate(rig.parents) if above == joint]
-        document.nodes.append(pygltflib.Node(name=name, translation=place.tolist(), children=children))
+        file.add("nodes", name=name, translation=place.tolist(), children=children or None)
     inverse = np.tile(np.eye(4, dtype=np.float32), (len(places), 1, 1))
     inverse[:, :3, 3] = -places.numpy()
     matrices = file.numbers(inverse)
-    ids = list(range(len(places)))
-    document.skins.append(pygltflib.Skin(name="head", joints=ids, skeleton=0, inverseBindMatrices=matrices))
-    return 0
+    file.add("skins", joints=list(range(len(places))), skeleton=0, inverseBindMatrices=matrices)
 
 
 def _geometry(
     file: GltfFile, canonical: CanonicalHead, mesh: SplitMesh
-) -> tuple[pygltflib.Attributes, list[dict[str, int]]]:
+) -> tuple[dict[str, int], list[dict[str, int]]]:
     """The accessors of the head at rest, and of what each morph target adds to it."""
     vertices = canonical.vertices
 
     def added(values: Tensor, *, bounds: bool = False) -> int:
-        return file.numbers(values.float().numpy(), bounds=bounds, target=pygltflib.ARRAY_BUFFER)
+        return file.numbers(values.float().numpy(), bounds=bounds, target=ARRAY_BUFFER)
 
     rest = tangent_frames(vertices, mesh)
-    attributes = pygltflib.Attributes(
-        POSITION=added(vertices[mesh.source], bounds=True),
-        NORMAL=added(rest.normals),
-        TANGENT=added(torch.cat([rest.tangents, rest.signs[:, None]], dim=1)),
+    attributes = {
+        "POSITION": added(vertices[mesh.source], bounds=True),
+        "NORMAL": added(rest.normals),
+        "TANGENT": added(torch.cat([rest.tangents, rest.signs[:, None]], dim=1)),
         # v goes down in glTF
-        TEXCOORD_0=added(torch.stack([mesh.uv[:, 0], 1.0 - mesh.uv[:, 1]], dim=1)),
-    )
+        "TEXCOORD_0": added(torch.stack([mesh.uv[:, 0], 1.0 - mesh.uv[:, 1]], dim=1)),
+    }
     for number, (ids, weights) in enumerate(_skinning(canonical.rig.weights[mesh.source])):
-        joints = file.numbers(ids.numpy().astype(np.uint16), target=pygltflib.ARRAY_BUFFER)
-        setattr(attributes, f"JOINTS_{number}", joints)
-        setattr(attributes, f"WEIGHTS_{number}", added(weights))
+        joints = file.numbers(ids.numpy().astype(np.uint16), target=ARRAY_BUFFER)
+        attributes |= {f"JOINTS_{number}": joints, f"WEIGHTS_{number}": added(weights)}
     targets = []
     for shape in target_shapes(canonical.template).values():
         delta = torch.tensor(shape)
@@ -152,43 +148,36 @@ def _skinning(weights: Tensor) -> Iterable[tuple[Tensor, Tensor]]:
 def _add_material(file: GltfFile, textures: Textures) -> int:
     """The material of the textures; its index."""
 
-    def texture(values: Tensor, name: str) -> int:
-        return file.texture(to_uint8(values.numpy()), name=name)
+    def texture(values: Tensor, name: str) -> dict[str, int]:
+        return {"index": file.texture(to_uint8(values.numpy()), name=name)}
 
-    packed = torch.stack(
-        [textures.occlusion, textures.roughness, torch.zeros_like(textures.roughness)], dim=-1
-    )
+    no_metal = torch.zeros_like(textures.roughness)
+    packed = torch.stack([textures.occlusion, textures.roughness, no_metal], dim=-1)
+    rough = texture(packed, "occlusion, roughness, metallic")
     strongest = float(textures.specular.max())
     f0 = encode_srgb(textures.specular / strongest)[..., None].expand(-1, -1, 3)
-    color = pygltflib.TextureInfo(index=texture(encode_srgb(textures.albedo), "base color"))
-    rough = pygltflib.TextureInfo(index=texture(packed, "occlusion, roughness, metallic"))
     specular = {
         "specularColorFactor": [strongest / DIELECTRIC] * 3,
-        "specularColorTexture": {"index": texture(f0.contiguous(), "specular color")},
+        "specularColorTexture": texture(f0.contiguous(), "specular color"),
     }
-    file.document.extensionsUsed.append("KHR_materials_specular")
-    file.document.materials.append(
-        pygltflib.Material(
-            name="head",
-            pbrMetallicRoughness=pygltflib.PbrMetallicRoughness(
-                baseColorFactor=[1.0] * 4,
-                baseColorTexture=color,
-                metallicFactor=0.0,
-                roughnessFactor=1.0,
-                metallicRoughnessTexture=rough,
-            ),
-            normalTexture=pygltflib.NormalMaterialTexture(
-                index=texture(0.5 * textures.normal + 0.5, "normal"), scale=1.0
-            ),
-            occlusionTexture=pygltflib.OcclusionTextureInfo(index=rough.index, strength=1.0),
-            alphaMode=pygltflib.OPAQUE,
-            alphaCutoff=None,
-            # heads are open at the neck, and some at the mouth and the eyes
-            doubleSided=True,
-            extensions={"KHR_materials_specular": specular},
-        )
+    file.document["extensionsUsed"] = ["KHR_materials_specular"]
+    return file.add(
+        "materials",
+        name="head",
+        pbrMetallicRoughness={
+            "baseColorFactor": [1.0] * 4,
+            "baseColorTexture": texture(encode_srgb(textures.albedo), "base color"),
+            # a factor that is left out counts as 1: a head of metal
+            "metallicFactor": 0.0,
+            "roughnessFactor": 1.0,
+            "metallicRoughnessTexture": rough,
+        },
+        normalTexture=texture(0.5 * textures.normal + 0.5, "normal"),
+        occlusionTexture=rough,
+        # heads are open at the neck, and some at the mouth and the eyes
+        doubleSided=True,
+        extensions={"KHR_materials_specular": specular},
     )
-    return 0
 
 
 def _add_animation(file: GltfFile, canonical: CanonicalHead, parameters: FrameParameters) -> None:
@@ -197,21 +186,21 @@ def _add_animation(file: GltfFile, canonical: CanonicalHead, parameters: FramePa
     weights = parameters.expression.double()
     if has_correctives(canonical.template):
         weights = torch.cat([weights, pose_weights(parameters)], dim=1)
-    times = np.arange(len(parameters), dtype=np.float32) / np.float32(FRAMES_PER_SECOND)
-    animation = pygltflib.Animation(name="sequence")
-    input_times = file.numbers(times, bounds=True)
+    times = file.numbers(
+        np.arange(len(parameters), dtype=np.float32) / np.float32(FRAMES_PER_SECOND), bounds=True
+    )
     mesh_node = len(canonical.rig.joint_names)
+    channels: list[dict[str, Any]] = []
+    samplers: list[dict[str, Any]] = []
 
     def animate(node: int, path: str, values: Tensor) -> None:
+        channels.append({"sampler": len(samplers), "target": {"node": node, "path": path}})
         output = file.numbers(values.float().numpy())
-        sampler = pygltflib.AnimationSampler(input=input_times, output=output, interpolation="LINEAR")
-        target = pygltflib.AnimationChannelTarget(node=node, path=path)
-        animation.channels.append(pygltflib.AnimationChannel(sampler=len(animation.samplers), target=target))
-        animation.samplers.append(sampler)
+        samplers.append({"input": times, "output": output, "interpolation": "LINEAR"})
 
     for joint in range(mesh_node):
         animate(joint, "rotation", tracks.rotations[:, joint])
         animate(joint, "translation", tracks.translations[:, joint])
     if weights.shape[1]:
         animate(mesh_node, "weights", weights.flatten())
-    file.document.animations.append(animation)
+    file.add("animations", name="sequence", channels=channels, samplers=samplers)

@@ -1,8 +1,8 @@
 """A .ply of 3D Gaussian splatting, with the standard columns and no others.
 
 Position, normal, spherical harmonics of degree 0, which hold the colour, opacity, scale and rotation, all
-float32, little-endian. A colour does not change with the view here, so there are no higher degrees; readers
-tell the degree by the columns.
+float32, little-endian: what else a .ply may hold, most readers of splats refuse or misread. A colour does not
+change with the view here, so there are no higher degrees; readers tell the degree by the columns.
 """
 
 from __future__ import annotations
@@ -12,14 +12,17 @@ from pathlib import Path
 import numpy as np
 from plyfile import PlyData, PlyElement
 
+from samira_warp.export.axes import down_forward
 from samira_warp.export.source import ExportSource
 from samira_warp.export.splats import Splats, frame_splats
 
-SH_DEGREE_0 = 0.28209479177387814
-"""The constant spherical harmonic, 1 / (2 sqrt(pi)): viewers show 0.5 + SH_DEGREE_0 * f_dc."""
-
-COMMENTS = ("axes: x to the head's left, y up, z to the front", "unit: metre")
-"""What no column says. Most scenes of 3DGS have y down: some viewers turn every file over (docs/using.md)."""
+COMMENTS = (
+    "axes: x to the head's left, y down, z to the back",
+    "unit: metre",
+    "SplatRenderMode: mip",
+)
+"""What no column says. The last one, Brush's word, is read by splat-transform, too: whoever widens a splat
+for the picture's pixels takes from its opacity what that adds, as the avatar was trained."""
 
 
 def write(source: ExportSource, path: Path) -> str:
@@ -32,11 +35,12 @@ def write(source: ExportSource, path: Path) -> str:
 
 def write_ply(splats: Splats, path: Path, *, frame: str) -> None:
     """Write the splats of a frame of that name where ``path`` says."""
-    columns = splat_columns(splats)
-    table = np.empty(len(splats.means), dtype=[(name, "f4") for name in columns])
+    columns = splat_columns(down_forward(splats))
+    table = np.empty(len(splats.means), dtype=[(name, "<f4") for name in columns])
     for name, values in columns.items():
         table[name] = values
-    PlyData([PlyElement.describe(table, "vertex")], comments=[*COMMENTS, f"frame: {frame}"]).write(str(path))
+    vertex = PlyElement.describe(table, "vertex")
+    PlyData([vertex], byte_order="<", comments=[*COMMENTS, f"frame: {frame}"]).write(str(path))
 
 
 def splat_columns(splats: Splats) -> dict[str, np.ndarray]:
@@ -44,7 +48,7 @@ def splat_columns(splats: Splats) -> dict[str, np.ndarray]:
     groups = {
         ("x", "y", "z"): splats.means,
         ("nx", "ny", "nz"): splats.normals,
-        tuple(f"f_dc_{i}" for i in range(3)): (splats.colors - 0.5) / SH_DEGREE_0,
+        tuple(f"f_dc_{i}" for i in range(3)): splats.harmonics,
         ("opacity",): splats.opacity_logits[:, None],
         tuple(f"scale_{i}" for i in range(3)): splats.scales.log(),
         tuple(f"rot_{i}" for i in range(4)): splats.quaternions,

@@ -12,6 +12,9 @@ from samira_warp.export.source import ExportSource
 from samira_warp.geometry.camera import Camera
 from samira_warp.light import FilteredLight, shade, to_display
 
+SH_DEGREE_0 = 0.28209479177387814
+"""The constant spherical harmonic, 1 / (2 sqrt(pi)): viewers show 0.5 + SH_DEGREE_0 times its coefficient."""
+
 
 class Splats(NamedTuple):
     """N Gaussians.
@@ -31,6 +34,16 @@ class Splats(NamedTuple):
     scales: Tensor
     opacity_logits: Tensor
     colors: Tensor
+
+    @property
+    def harmonics(self) -> Tensor:
+        """(N, 3) coefficients of degree 0 for the colours."""
+        return (self.colors - 0.5) / SH_DEGREE_0
+
+    @property
+    def opacities(self) -> Tensor:
+        """(N,) opacities, 0 to 1."""
+        return self.opacity_logits.sigmoid()
 
 
 def frame_splats(source: ExportSource, frame: DrivingFrame) -> Splats:

@@ -49,3 +49,12 @@ def _cross(vector: Tensor) -> Tensor:
     x, y, z = vector.unbind(dim=-1)
     zero = torch.zeros_like(x)
     return torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], dim=-1).unflatten(-1, (3, 3))
+
+
+def quaternion_to_matrix(quaternion: Tensor) -> Tensor:
+    """Rotation matrices (..., 3, 3) of unit quaternions (..., 4), w, x, y, z."""
+    w, vector = quaternion[..., :1, None], quaternion[..., 1:]
+    outer = vector[..., :, None] * vector[..., None, :]
+    identity = torch.eye(3, dtype=quaternion.dtype, device=quaternion.device)
+    # R = (w^2 - |v|^2) I + 2 v v^T + 2 w [v]x
+    return (2.0 * w**2 - 1.0) * identity + 2.0 * (outer + w * _cross(vector))
