@@ -68,7 +68,12 @@ try {
   const renderer = new THREE.WebGLRenderer({antialias: true, preserveDrawingBuffer: true});
   renderer.setClearColor(0xffffff, 1);
   const mixer = new THREE.AnimationMixer(gltf.scene);
-  for (const clip of gltf.animations) mixer.clipAction(clip).play();
+  for (const clip of gltf.animations) {
+    const action = mixer.clipAction(clip);
+    action.setLoop(THREE.LoopOnce);
+    action.clampWhenFinished = true;  // the end of a clip that repeats is its beginning
+    action.play();
+  }
   const ones = new Float32Array(64 * 32 * 4).fill(1);
   const white = new THREE.DataTexture(ones, 64, 32, THREE.RGBAFormat, THREE.FloatType);
   white.mapping = THREE.EquirectangularReflectionMapping;
@@ -77,6 +82,10 @@ try {
   const meshes = [];
   scene.traverse((node) => { if (node.isMesh) { node.frustumCulled = false; meshes.push(node); } });
   const materials = {white: meshes.map((mesh) => mesh.material)};
+  const anisotropy = renderer.capabilities.getMaxAnisotropy();
+  for (const {map, normalMap, roughnessMap} of materials.white) {
+    for (const texture of [map, normalMap, roughnessMap]) texture.anisotropy = anisotropy;
+  }
   materials.albedo = materials.white.map((m) => new THREE.MeshBasicMaterial({map: m.map, side: m.side}));
   for (const {number, width, height, fx, fy, cx, cy, toWorld} of views) {
     renderer.setSize(width, height, false);

@@ -85,7 +85,9 @@ def splat_transform(path: Path, program: str = "splat-transform") -> ReadSplats:
     """A .ply or .spz by PlayCanvas' splat-transform, which turns neither on its way to a .ply."""
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "copy.ply"
-        subprocess.run([program, "--quiet", str(path), str(copy)], check=True, capture_output=True, timeout=300)
+        subprocess.run(
+            [program, "--quiet", str(path), str(copy)], check=True, capture_output=True, timeout=300
+        )
         read = plyfile_ply(copy)
     # of a .spz it hands on RUB as it is, for which `plyfile_ply` took RDF: that turn is its own inverse
     return read if path.suffix == ".ply" else _up_back(read)

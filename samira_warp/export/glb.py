@@ -58,17 +58,17 @@ def write(source: ExportSource, path: Path) -> str:
     )
 
 
-def target_shapes(template: HeadTemplate) -> dict[str, np.ndarray]:
-    """(V, 3) metres of every morph target by name: expressions, then pose correctives if there are any.
+def target_shapes(template: HeadTemplate) -> list[tuple[str, np.ndarray]]:
+    """Name and (V, 3) metres of every morph target: expressions, then pose correctives if there are any.
 
     A corrective's weight is an entry of a joint's rotation less the identity's: "neck 01" is row 0, column 1.
     """
     expressions = template.shapedirs[:, :, template.n_shape :]
-    shapes = {name: expressions[:, :, i] for i, name in enumerate(template.expression_names)}
+    shapes = [(name, expressions[:, :, i]) for i, name in enumerate(template.expression_names)]
     if has_correctives(template):
         places = [f"{row}{column}" for row in range(3) for column in range(3)]
         entries = [f"{name} {place}" for name in template.joint_names[1:] for place in places]
-        shapes |= {name: template.posedirs[:, :, i] for i, name in enumerate(entries)}
+        shapes += [(name, template.posedirs[:, :, i]) for i, name in enumerate(entries)]
     return shapes
 
 
@@ -76,7 +76,7 @@ def _add_head(file: GltfFile, canonical: CanonicalHead, mesh: SplitMesh, texture
     """The scene: nodes 0 to J - 1 are the joints, node J the mesh."""
     _add_joints(file, canonical)
     attributes, targets = _geometry(file, canonical, mesh)
-    names = list(target_shapes(canonical.template))
+    names = [name for name, _ in target_shapes(canonical.template)]
     primitive = {
         "attributes": attributes,
         "indices": file.numbers(mesh.faces.numpy().astype(np.uint32).ravel(), target=ELEMENT_ARRAY_BUFFER),
@@ -126,7 +126,7 @@ def _geometry(
         joints = file.numbers(ids.numpy().astype(np.uint16), target=ARRAY_BUFFER)
         attributes |= {f"JOINTS_{number}": joints, f"WEIGHTS_{number}": added(weights)}
     targets = []
-    for shape in target_shapes(canonical.template).values():
+    for _, shape in target_shapes(canonical.template):
         delta = torch.tensor(shape)
         turned = tangent_frames(vertices + delta, mesh).normals - rest.normals
         targets.append({"POSITION": added(delta[mesh.source], bounds=True), "NORMAL": added(turned)})

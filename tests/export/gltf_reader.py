@@ -25,7 +25,7 @@ class Glb:
         accessor = self.document.accessors[number]
         values = np.frombuffer(self.view(accessor.bufferView), COMPONENTS[accessor.componentType])
         values = values.reshape(accessor.count, WIDTHS[accessor.type])
-        if accessor.min is not None:
+        if accessor.min:
             np.testing.assert_array_equal(values.min(axis=0), np.float32(accessor.min))
             np.testing.assert_array_equal(values.max(axis=0), np.float32(accessor.max))
         # glTF's matrices go by columns

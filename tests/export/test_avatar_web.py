@@ -99,7 +99,7 @@ def test_the_page_poses_the_head_as_the_rig_does(source, folder, tmp_path):
         size = float(frame.parameters.expression.abs().max().clamp(min=2.0))
         atol = float(3**0.5 * 0.5 * scales.sum() * size) + 1e-6
         torch.testing.assert_close(found, vertices, rtol=0, atol=atol)
-        assert atol < 1e-5
+        assert atol < 2e-5  # metres: 4 expressions and 36 correctives, each of some millimetres
         faces = triangle_frames(found, canonical.topology)
         wanted = torch.cat(
             [faces.scale[:, None, None] * faces.rotation, faces.translation[:, :, None]], dim=2

@@ -161,6 +161,8 @@ def test_textures_of_an_even_avatar_are_even(mesh):
     avatar = small_avatar(gaussians=600, residual=False)
     with torch.no_grad():
         avatar.gaussians.albedo_logits[:] = torch.tensor([0.5, -0.5, -1.0])
+        avatar.gaussians.roughness_logits[:] = 0.3
+        avatar.gaussians.specular_logits[:] = -1.0
     textures = bake(avatar, made_source(avatar).frames, mesh, size=SIZE)
     own = avatar.gaussians
     for found, value in (
