@@ -67,14 +67,14 @@ class Textures(NamedTuple):
     """Maps of a head's surface, float32, row 0 at v = 1.
 
     Attributes:
-        albedo: (H, W, 3) linear.
+        base_color: (H, W, 3) display values: the albedo as a picture.
         normal: (H, W, 3) unit, in the tangent frames of the mesh: along u, along v, outwards.
         roughness: (H, W) perceptual.
         specular: (H, W) reflectance at normal incidence.
         occlusion: (H, W) share of a uniform sky that the head at rest leaves open.
     """
 
-    albedo: Tensor
+    base_color: Tensor
     normal: Tensor
     roughness: Tensor
     specular: Tensor
@@ -104,6 +104,10 @@ class Texels(NamedTuple):
         index = (face >= 0).nonzero()[:, 0]
         return cls(size, index, mesh.faces[face[index].long()], raster.barycentrics.view(-1, 3)[index])
 
+    def some(self, chosen: Tensor) -> Texels:
+        """Those of them that a (T,) mask chooses."""
+        return Texels(self.size, self.index[chosen], self.corners[chosen], self.weights[chosen])
+
     @property
     def places(self) -> Tensor:
         """(T, 2) u and v of their centres."""
@@ -122,24 +126,22 @@ class Texels(NamedTuple):
 
     def filled(self, values: Tensor, known: Tensor) -> Tensor:
         """(H, W, C) map of (T, C) values; all else copies the nearest of those (T,) that are known."""
-        whole, holds = (
-            values.new_zeros(self.size**2, values.shape[1]),
-            torch.zeros(self.size**2, dtype=torch.bool),
-        )
-        whole[self.index], holds[self.index] = values, known
-        away = ~holds.view(self.size, self.size).numpy()
-        row, column = distance_transform_edt(away, return_distances=False, return_indices=True)
+        whole = values.new_zeros(self.size**2, values.shape[1])
+        whole[self.index] = values
+        row, column = distance_transform_edt(self._away(known), return_distances=False, return_indices=True)
         return whole[torch.from_numpy(row.astype(np.int64) * self.size + column)]
 
     def distances(self, known: Tensor) -> Tensor:
         """(T,) texels from each to the nearest of those that are known; infinite where none is."""
         if not bool(known.any()):
             return torch.full(known.shape, torch.inf)
+        return torch.from_numpy(distance_transform_edt(self._away(known))).flatten()[self.index]
+
+    def _away(self, known: Tensor) -> np.ndarray:
+        """(H, W) bool, False at those of the (T,) texels that are known."""
         away = torch.ones(self.size**2, dtype=torch.bool)
         away[self.index] = ~known
-        return torch.from_numpy(distance_transform_edt(away.view(self.size, -1).numpy())).flatten()[
-            self.index
-        ]
+        return away.view(self.size, self.size).numpy()
 
 
 @torch.no_grad()
@@ -159,11 +161,11 @@ def bake(avatar: Avatar, frames: Sequence[DrivingFrame], mesh: SplitMesh, *, siz
     values = values / weights.clamp(min=torch.finfo(values.dtype).tiny)[:, None]
     values = texels.filled(values, seen).flatten(0, 1)[texels.index]
     far = texels.distances(seen) > SPREAD
-    values[far] = _carried(avatar, looked_at[0], mesh, texels)[far]
+    values[far] = _carried(avatar, looked_at[0], mesh, texels.some(far))
     whole = texels.filled(values, torch.ones_like(seen))
     albedo, normal, roughness, specular = whole.split(tuple(WIDTHS.values()), dim=-1)
     return Textures(
-        albedo,
+        avatar.display(albedo),
         normalize(normal, dim=-1),
         roughness[..., 0],
         specular[..., 0],

@@ -85,8 +85,8 @@ class ExportConfig:
             raise UserError(
                 "--texture-size", expected="a format with textures", found=f"--format {kind.name}"
             )
-        if not 64 <= size <= 8192:
-            raise UserError("--texture-size", expected="64 to 8192", found=size)
+        if not 64 <= size <= 4096:
+            raise UserError("--texture-size", expected="64 to 4096", found=size)
 
     def _check_light(self, kind: ExportFormat) -> None:
         if self.exposure is not None:

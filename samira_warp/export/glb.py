@@ -54,7 +54,7 @@ def write(source: ExportSource, path: Path) -> str:
     targets = len(target_shapes(canonical.template))
     return (
         f"{len(mesh.source):,} vertices, {len(canonical.rig.joint_names)} joints, {targets} morph targets, "
-        f"{len(source.chosen)} frames, textures of {textures.albedo.shape[0]} texels"
+        f"{len(source.chosen)} frames, textures of {size} texels"
     )
 
 
@@ -166,7 +166,7 @@ def _add_material(file: GltfFile, textures: Textures) -> int:
         name="head",
         pbrMetallicRoughness={
             "baseColorFactor": [1.0] * 4,
-            "baseColorTexture": texture(encode_srgb(textures.albedo), "base color"),
+            "baseColorTexture": texture(textures.base_color, "base color"),
             # a factor that is left out counts as 1: a head of metal
             "metallicFactor": 0.0,
             "roughnessFactor": 1.0,

@@ -1,4 +1,4 @@
-"""``glb`` in programs that others wrote: three.js in a browser, and Khronos' validator. Both come from npm."""
+"""``glb`` in programs of others, from npm: three.js in a browser, and Khronos' validator."""
 
 import json
 import shutil
