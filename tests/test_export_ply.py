@@ -59,7 +59,7 @@ def test_the_tool_itself_writes_the_standard_columns_in_order(tiny_run, tmp_path
     assert vertex.count == len(Avatar.load(tiny_run).gaussians)
     header = path.read_bytes().split(b"end_header")[0].decode().splitlines()
     assert header[:2] == ["ply", "format binary_little_endian 1.0"]
-    assert "comment axes: x to the head's left, y up, z to the front" in header
+    assert "comment axes: x to the head's left, y down, z to the back" in header
 
 
 @pytest.mark.parametrize("frame", [0, 3])
@@ -71,10 +71,12 @@ def test_values_decode_to_the_moved_gaussians(tiny_run, tool, tmp_path, frame):
     with torch.no_grad():
         moved = avatar.move(read_frames(tiny_run)[frame].parameters).gaussians
         opacities, albedo = avatar.gaussians.opacities, encode_srgb(avatar.gaussians.albedo)
-    np.testing.assert_array_equal(columns(vertex, "x", "y", "z"), moved.means.numpy())
-    np.testing.assert_array_equal(columns(vertex, "nx", "ny", "nz"), moved.normals.numpy())
-    turns = torch.nn.functional.normalize(moved.quaternions, dim=1)
-    np.testing.assert_array_equal(columns(vertex, *(f"rot_{i}" for i in range(4))), turns.numpy())
+    down_forward = np.float32([1.0, -1.0, -1.0])
+    np.testing.assert_array_equal(columns(vertex, "x", "y", "z"), down_forward * moved.means.numpy())
+    np.testing.assert_array_equal(columns(vertex, "nx", "ny", "nz"), down_forward * moved.normals.numpy())
+    w, x, y, z = torch.nn.functional.normalize(moved.quaternions, dim=1).unbind(dim=1)
+    turned = torch.stack([-x, w, -z, y], dim=1)  # half a turn about x, and then the rotation
+    np.testing.assert_array_equal(columns(vertex, *(f"rot_{i}" for i in range(4))), turned.numpy())
     # what a viewer does: exp, sigmoid, and 0.5 + Y_00 f_dc
     np.testing.assert_allclose(
         np.exp(columns(vertex, "scale_0", "scale_1", "scale_2")), moved.scales.numpy(), rtol=1e-5
@@ -89,7 +91,7 @@ def test_values_decode_to_the_moved_gaussians(tiny_run, tool, tmp_path, frame):
     [
         (["--frame", "6"], "0 to 5"),
         (["--frame=-1"], "0 to 5"),
-        (["--out", "avatar.txt"], ".ply"),
+        (["--out", "avatar.txt"], "expected ply or "),
         (["--out", "nowhere/avatar.ply"], "nowhere"),
         (["--avatar", "nowhere"], "nowhere"),
     ],

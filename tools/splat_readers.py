@@ -14,14 +14,20 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+import torch
 
 SH_DEGREE_0 = 0.5 / np.sqrt(np.pi)
 
 
 class ReadSplats(NamedTuple):
-    """N splats: means (N, 3) metres, quaternions (N, 4) w, x, y, z, scales (N, 3), opacities (N,), colours (N, 3).
+    """N splats in the avatar's axes: x to the head's left, y up, z to the front.
 
-    Axes are the avatar's: x to the head's left, y up, z to the front.
+    Attributes:
+        means: (N, 3) metres.
+        quaternions: (N, 4) w, x, y, z.
+        scales: (N, 3) metres.
+        opacities: (N,) 0 to 1.
+        colors: (N, 3) display values.
     """
 
     means: np.ndarray
@@ -77,7 +83,9 @@ def gsply_spz(path: Path) -> ReadSplats:
     """A .spz by gsply, which turns nothing."""
     import gsply
 
+    threads = torch.get_num_threads()
     read = gsply.read_spz(path)
+    torch.set_num_threads(threads)  # numba takes as many as there are cores, for torch as well
     return _activated(read.means, read.quats, read.scales, read.opacities, read.sh0)
 
 
@@ -85,9 +93,8 @@ def splat_transform(path: Path, program: str = "splat-transform") -> ReadSplats:
     """A .ply or .spz by PlayCanvas' splat-transform, which turns neither on its way to a .ply."""
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "copy.ply"
-        subprocess.run(
-            [program, "--quiet", str(path), str(copy)], check=True, capture_output=True, timeout=300
-        )
+        command = [program, "--quiet", str(path), str(copy)]
+        subprocess.run(command, check=True, capture_output=True, timeout=300)
         read = plyfile_ply(copy)
     # of a .spz it hands on RUB as it is, for which `plyfile_ply` took RDF: that turn is its own inverse
     return read if path.suffix == ".ply" else _up_back(read)

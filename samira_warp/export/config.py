@@ -12,6 +12,12 @@ from samira_warp.support.errors import UserError
 from samira_warp.support.exposure import Exposure, check_exposure
 from samira_warp.support.tone_names import ToneMap
 
+SPZ_VERSION = 2
+"""The version of a .spz unless another is asked for."""
+
+SPZ_WITH_ZSTD = 4
+"""The version whose compression Python has no module for."""
+
 
 @dataclass(frozen=True)
 class ExportConfig:
@@ -33,8 +39,9 @@ class ExportConfig:
     """For a sequence, which of the frames of --split, A:B:STEP as Python slices them; default all."""
     split: Literal["train", "test"] | None = None
     """For a sequence, which of the avatar's own frames; default the test frames."""
-    spz_version: Literal[2, 3, 4] = 4
-    """Of a .spz: 4 is the newest, 2 is what most programs open."""
+    spz_version: Literal[2, 3, 4] | None = None
+    """Of a .spz: 4 is the newest; 2, the default, is what most programs open, and no worse
+    (docs/exports.md)."""
     albedo: bool = False
     """The colour of the materials alone, under no light."""
     env: tuple[Path, ...] = ()
@@ -78,7 +85,10 @@ class ExportConfig:
             raise UserError("--frame", expected="one frame's export", found="a sequence (--frames N for one)")
         if self.texture_size is not None:
             self._check_texture_size(self.texture_size, kind)
-        kind.check_installed()
+        if self.spz_version is not None and kind.name != "spz":
+            raise UserError("--spz-version", expected="--format spz", found=f"--format {kind.name}")
+        if kind.name != "spz" or self.spz_version == SPZ_WITH_ZSTD:
+            kind.check_installed()
 
     def _check_texture_size(self, size: int, kind: ExportFormat) -> None:
         if not kind.textures:

@@ -22,6 +22,7 @@ from pathlib import Path
 import numpy as np
 from torch import Tensor
 
+from samira_warp.export.config import SPZ_VERSION
 from samira_warp.export.source import ExportSource
 from samira_warp.export.splats import Splats, frame_splats
 from samira_warp.support.errors import UserError
@@ -35,6 +36,9 @@ ANTIALIASED = 1
 POSITION_BITS = 24
 """Of a coordinate, its sign among them."""
 
+FARTHEST = 1000.0
+"""Metres: with 12 bits after the point, as most files have."""
+
 COLOR_SCALE = 0.15
 """Bytes span coefficients from -1 / (2 COLOR_SCALE) to the opposite: colours from -0.44 to 1.44."""
 
@@ -45,7 +49,7 @@ ZSTD_LEVEL = 12
 def write(source: ExportSource, path: Path) -> str:
     """Write the chosen frame in the version that is asked for."""
     (frame,) = source.chosen
-    splats, version = frame_splats(source, frame), source.config.spz_version
+    splats, version = frame_splats(source, frame), source.config.spz_version or SPZ_VERSION
     path.write_bytes(encode(splats, version=version))
     return f"{len(splats.means):,} splats of frame {frame.name}, version {version}"
 
@@ -77,11 +81,10 @@ def _fractional_bits(means: Tensor) -> int:
     The 12 that are usual are steps of a quarter of a millimetre, in metres.
     """
     farthest = float(means.abs().max()) if len(means) else 0.0
+    if not farthest < FARTHEST:  # not a number is not, either
+        raise UserError("a splat", expected=f"less than {FARTHEST:g} m from the origin", found=farthest)
     whole = 0 if farthest < 1.0 else math.floor(math.log2(farthest)) + 1
-    bits = POSITION_BITS - 2 - whole  # one is the sign's, one is spared for rounding
-    if not math.isfinite(farthest) or bits < 1:
-        raise UserError("a splat", expected="less than 2,000 km from the origin", found=f"{farthest:g} m")
-    return bits
+    return POSITION_BITS - 2 - whole  # one is the sign's, one is spared for rounding
 
 
 def _positions(means: Tensor, bits: int) -> bytes:
@@ -93,8 +96,8 @@ def _positions(means: Tensor, bits: int) -> bytes:
 def _first_three(quaternions: np.ndarray) -> bytes:
     """x, y and z of (N, 4) unit quaternions w, x, y, z, for which w >= 0 follows.
 
-    It follows badly where it is small: 7 degrees off at 8 bits. But an ellipsoid is the same after half a turn
-    about an axis of its own, and of the quaternions q, q i, q j and q k that it has, one has w >= 1/2.
+    It follows badly where it is small: 7 degrees off at 8 bits. But an ellipsoid is the same after half a
+    turn about an axis of its own, and of the quaternions q, q i, q j and q k that it has, one has w >= 1/2.
     """
     w, x, y, z = quaternions.T
     alike = np.stack([(w, x, y, z), (-x, w, z, -y), (-y, -z, w, x), (-z, y, -x, w)]).transpose(2, 0, 1)

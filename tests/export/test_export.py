@@ -16,6 +16,7 @@ from samira_warp.avatar import Avatar, read_frames
 from samira_warp.export.__main__ import command
 from samira_warp.export.config import Format
 from samira_warp.export.formats import FORMATS
+from samira_warp.export.ply import write_ply
 from samira_warp.io.images import write_exr
 from samira_warp.light import Environment, decode_srgb, encode_srgb
 from samira_warp.light.brdf import brdf_table
@@ -110,7 +111,7 @@ def test_a_light_turns(tiny_run, tmp_path, lights):
         path = tmp_path / f"{turn}.ply"
         light = ("--env", lights / "right.exr", f"--rotate={turn}", "--exposure", "auto")
         assert export("--avatar", tiny_run, "--out", path, *light) == 0
-        facing = torch.from_numpy(PlyData.read(str(path))["vertex"]["nz"]) > 0.7
+        facing = torch.from_numpy(-PlyData.read(str(path))["vertex"]["nz"]) > 0.7
         assert facing.sum() > 20
         means[turn] = decode_srgb(colors(path)[facing]).mean()
     assert means[-90] > 3 * means[90]
@@ -123,7 +124,7 @@ def test_the_learned_light_is_the_default(tiny_run, tmp_path):
     with torch.no_grad():
         image = avatar.render(frame.parameters, frame.camera).image
         seen = avatar.rasterize(avatar.move(frame.parameters), frame.camera).alpha[..., 0] > 0.99
-    facing = torch.from_numpy(PlyData.read(str(path))["vertex"]["nz"]) > 0.3
+    facing = torch.from_numpy(-PlyData.read(str(path))["vertex"]["nz"]) > 0.3
     # the splats that face the camera are what its picture is blended of
     torch.testing.assert_close(colors(path)[facing].mean(dim=0), image[seen].mean(dim=0), atol=0.05, rtol=0)
 
@@ -143,7 +144,7 @@ def test_a_sequence_is_numbered_files_of_the_frames_that_are_asked_for(tiny_run,
     for path, frame in zip(sorted(folder.iterdir()), train[1::2], strict=True):
         with torch.no_grad():
             means = avatar.move(frame.parameters).gaussians.means
-        np.testing.assert_array_equal(PlyData.read(str(path))["vertex"]["x"], means[:, 0].numpy())
+        np.testing.assert_array_equal(PlyData.read(str(path))["vertex"]["y"], -means[:, 1].numpy())
     capsys.readouterr()
     assert export(*options, "--frames", "0") == 0
     assert f"note: {folder} keeps 1 of an earlier sequence, such as frame_0001.ply" in capsys.readouterr().err
@@ -159,7 +160,11 @@ def test_a_sequence_is_numbered_files_of_the_frames_that_are_asked_for(tiny_run,
         (["--format", "ply-sequence", "--frames", "7", "--out", "film"], "--frames: expected some of the 2"),
         (["--format", "ply-sequence", "--frame", "0", "--out", "film"], "--frame: expected one frame's"),
         (["--format", "ply-sequence", "--out", "white.exr"], "expected a folder"),
-        (["--out", "film"], "--format: expected ply or ply-sequence"),
+        (["--out", "film"], "--format: expected ply or ply-sequence or spz or "),
+        (["--spz-version", "2"], "--spz-version: expected --format spz, found --format ply"),
+        (["--out", "frame.spz", "--spz-version", "5"], "--spz-version"),
+        (["--format", "gltf-splats", "--out", "frame.gltf"], "expected a file name ending in .glb"),
+        (["--format", "usd", "--out", "frame.usd"], "ending in .usdc or .usda or .usdz"),
         (["--env", "white.exr", "--rotate", "nan"], "--rotate: expected degrees"),
         (["--env", "white.exr", "--exposure", "-1"], "--exposure"),
         (["--env", "missing.exr"], "missing.exr"),
@@ -185,6 +190,35 @@ def test_mistakes_are_one_line_and_leave_no_file(tiny_run, lights, monkeypatch, 
     (line,) = capsys.readouterr().err.splitlines()
     assert named in line
     assert sorted(lights.iterdir()) == before
+
+
+def half_written(splats, path, **_):
+    """As a writer that is interrupted."""
+    path.write_bytes(b"ply")
+    raise KeyboardInterrupt
+
+
+def test_an_interrupt_leaves_what_was_there(tiny_run, tmp_path, monkeypatch):
+    path = tmp_path / "frame.ply"
+    path.write_bytes(b"earlier")
+    monkeypatch.setattr("samira_warp.export.ply.write_ply", half_written)
+    assert export("--avatar", tiny_run, "--albedo", "--out", path) == 130
+    assert [(each.name, each.read_bytes()) for each in tmp_path.iterdir()] == [("frame.ply", b"earlier")]
+
+
+def test_an_interrupted_sequence_is_whole_files(tiny_run, tmp_path, monkeypatch):
+    folder = tmp_path / "film"
+    options = ("--avatar", tiny_run, "--albedo", "--format", "ply-sequence", "--out", folder)
+    writers = iter([half_written, write_ply, half_written])
+    monkeypatch.setattr(
+        "samira_warp.export.ply_sequence.write_ply", lambda *given, **more: next(writers)(*given, **more)
+    )
+    assert export(*options) == 130
+    assert not folder.exists()
+    assert export(*options) == 130
+    assert [path.name for path in folder.iterdir()] == ["frame_0000.ply"]
+    count = len(Avatar.load(tiny_run).gaussians)
+    assert PlyData.read(str(folder / "frame_0000.ply"))["vertex"].count == count
 
 
 def test_options_are_typed_without_torch():
