@@ -3,9 +3,10 @@
 from dataclasses import replace
 from pathlib import Path
 
+import torch
 from subjects import camera, parameters, small_avatar
 
-from samira_warp.avatar import DrivingFrame
+from samira_warp.avatar import DrivingFrame, write_frames
 from samira_warp.export.config import ExportConfig
 from samira_warp.export.source import ExportSource
 
@@ -32,3 +33,20 @@ def with_template(avatar, **changed):
     )
     avatar.set_gaussians(avatar.gaussians)
     return avatar
+
+
+def saved_avatar(folder):
+    """Save an avatar whose colours go over the head evenly, with two test frames and two training frames."""
+    avatar = small_avatar(gaussians=1500)
+    canonical, own = avatar.canonical, avatar.gaussians
+    low, high = canonical.vertices.amin(dim=0), canonical.vertices.amax(dim=0)
+    centers = canonical.vertices[canonical.topology.faces.long()].mean(dim=1)
+    with torch.no_grad():
+        own.albedo_logits[:] = torch.logit(0.1 + 0.6 * ((centers - low) / (high - low))[own.faces.long()])
+    folder.mkdir()
+    avatar.save(folder, record={"subject": "tiny", "split": "dataset"})
+    parts = ("test", "test", "train", "train")
+    frames = [
+        DrivingFrame(f"{seed:05d}", parameters(seed), camera(48), part) for seed, part in enumerate(parts)
+    ]
+    write_frames(folder, frames)

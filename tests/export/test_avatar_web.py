@@ -138,9 +138,9 @@ def test_the_sequence_and_the_controls_are_the_avatars(source, folder):
     assert AVERAGED > 1
 
 
-def test_the_verb_writes_a_folder_or_nothing(tiny_run, tmp_path, capsys):
+def test_the_verb_writes_a_folder_or_nothing(saved, tmp_path, capsys):
     out = tmp_path / "page"
-    options = ["--avatar", str(tiny_run), "--format", "avatar-web", "--out", str(out)]
+    options = ["--avatar", str(saved), "--format", "avatar-web", "--out", str(out)]
     assert command([*options, "--frames", "9"]) == 2
     assert list(tmp_path.iterdir()) == []
     assert command(options) == 0
@@ -152,11 +152,11 @@ def test_the_verb_writes_a_folder_or_nothing(tiny_run, tmp_path, capsys):
 
 
 @pytest.fixture(scope="module")
-def served(tiny_run, tmp_path_factory):
+def served(saved, tmp_path_factory):
     """The address of a page of the finished run under no light, with all of its frames."""
     folder = tmp_path_factory.mktemp("served") / "page"
     options = ("--format", "avatar-web", "--albedo", "--split", "train", "--out", str(folder))
-    assert command(["--avatar", str(tiny_run), *options]) == 0
+    assert command(["--avatar", str(saved), *options]) == 0
     handler = functools.partial(QuietHandler, directory=str(folder))
     server = http.server.ThreadingHTTPServer(("127.0.0.1", 0), handler)
     threading.Thread(target=server.serve_forever, daemon=True).start()
@@ -249,10 +249,10 @@ def test_the_mouse_goes_round_and_the_wheel_nearer(page):
 
 
 @in_browser
-def test_its_picture_is_that_of_the_bound_gaussians(page, tiny_run):
+def test_its_picture_is_that_of_the_bound_gaussians(page, saved):
     """Drawn by the same formulas, but half floats, a sort in 65,536 steps and the mean of the residual."""
-    avatar = Avatar.load(tiny_run)
-    train = [frame for frame in read_frames(tiny_run) if frame.part == "train"]
+    avatar = Avatar.load(saved)
+    train = [frame for frame in read_frames(saved) if frame.part == "train"]
     for number, frame in enumerate(train[:2]):
         camera = frame.camera.with_longer_side(96)
         with torch.no_grad():

@@ -223,9 +223,9 @@ def test_frames_to_look_at_begin_with_the_most_neutral_and_differ(source):
     assert chosen[0].part == "train"
 
 
-def test_the_verb_writes_it_under_no_light(tiny_run, tmp_path, capsys):
+def test_the_verb_writes_it_under_no_light(saved, tmp_path, capsys):
     path = tmp_path / "head.glb"
-    options = ["--avatar", str(tiny_run), "--format", "glb", "--texture-size", "64", "--out", str(path)]
+    options = ["--avatar", str(saved), "--format", "glb", "--texture-size", "64", "--out", str(path)]
     assert command(options) == 0
     assert Glb(path).document.animations[0].name == "sequence"
     assert [file.name for file in tmp_path.iterdir()] == ["head.glb"]
@@ -238,6 +238,6 @@ def test_the_verb_writes_it_under_no_light(tiny_run, tmp_path, capsys):
         assert command([*options, *more]) == 2
         (line,) = capsys.readouterr().err.splitlines()
         assert named in line
-    ply = ["--avatar", str(tiny_run), "--texture-size", "64", "--out", str(tmp_path / "head.ply")]
+    ply = ["--avatar", str(saved), "--texture-size", "64", "--out", str(tmp_path / "head.ply")]
     assert command(ply) == 2
     assert "--texture-size: expected a format with textures" in capsys.readouterr().err
