@@ -99,11 +99,17 @@ class Page {
 
   #mouse() {
     const {canvas} = this.avatar;
-    canvas.addEventListener("pointerdown", (event) => canvas.setPointerCapture(event.pointerId));
+    let last;
+    canvas.addEventListener("pointerdown", (event) => {
+      canvas.setPointerCapture(event.pointerId);
+      last = event;
+    });
     canvas.addEventListener("pointermove", (event) => {
       if (!canvas.hasPointerCapture(event.pointerId)) return;
-      this.orbit.yaw -= 0.007 * event.movementX;
-      this.orbit.pitch = Math.min(Math.max(this.orbit.pitch + 0.007 * event.movementY, -STEEPEST), STEEPEST);
+      const pitch = this.orbit.pitch + 0.007 * (event.clientY - last.clientY);
+      this.orbit.pitch = Math.min(Math.max(pitch, -STEEPEST), STEEPEST);
+      this.orbit.yaw -= 0.007 * (event.clientX - last.clientX);
+      last = event;
       this.redraw();
     });
     canvas.addEventListener("wheel", (event) => {
