@@ -174,8 +174,9 @@ def test_textures_of_an_even_avatar_are_even(mesh):
         torch.testing.assert_close(found, value.detach().expand_as(found), rtol=1e-4, atol=1e-5)
     # facets of 10 degrees on a coarse ball: Gaussians blend over several of them
     assert textures.normal[..., 2].quantile(0.1) > np.cos(np.radians(20.0))
-    assert float(textures.occlusion.min()) >= 0.05
-    assert float(textures.occlusion.max()) <= 1.0
+    # barycentric weights sum to 1 up to rounding
+    assert float(textures.occlusion.min()) >= 0.05 - 4 * ROUNDING
+    assert float(textures.occlusion.max()) <= 1.0 + 4 * ROUNDING
 
 
 def test_a_texture_has_its_colours_in_their_places(mesh):
