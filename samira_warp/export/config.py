@@ -60,6 +60,9 @@ class ExportConfig:
     """filmic bends what is brighter than a display's white below it, none clips it where a format does; auto
     is filmic for a map or lamps, and none for a learned light."""
 
+    texture_size: int | None = None
+    """For a format with textures, texels along their sides; default 1024."""
+
     @property
     def kind(self) -> ExportFormat:
         """The format that is asked for, or meant.
@@ -71,8 +74,8 @@ class ExportConfig:
 
     def check(self) -> None:
         """Raise UserError unless the options can be used, and the format's library and a place are there."""
-        self._check_light()
         kind = self.kind
+        self._check_light(kind)
         kind.check_target(self.out)
         for option, given in (("--frames", self.frames), ("--split", self.split)):
             if given is not None and kind.frames == "one":
@@ -80,12 +83,22 @@ class ExportConfig:
                 raise UserError(option, expected="a format of many frames", found=found)
         if self.frame is not None and (kind.frames == "many" or self.frames or self.split):
             raise UserError("--frame", expected="one frame's export", found="a sequence (--frames N for one)")
+        if self.texture_size is not None:
+            self._check_texture_size(self.texture_size, kind)
         if self.spz_version is not None and kind.name != "spz":
             raise UserError("--spz-version", expected="--format spz", found=f"--format {kind.name}")
         if kind.name != "spz" or self.spz_version == SPZ_WITH_ZSTD:
             kind.check_installed()
 
-    def _check_light(self) -> None:
+    def _check_texture_size(self, size: int, kind: ExportFormat) -> None:
+        if not kind.textures:
+            raise UserError(
+                "--texture-size", expected="a format with textures", found=f"--format {kind.name}"
+            )
+        if not 64 <= size <= 4096:
+            raise UserError("--texture-size", expected="64 to 4096", found=size)
+
+    def _check_light(self, kind: ExportFormat) -> None:
         if self.exposure is not None:
             check_exposure(self.exposure, name="--exposure")
         if not math.isfinite(self.rotate):
@@ -100,6 +113,9 @@ class ExportConfig:
         for option, given in needs_light.items():
             if given and self.albedo:
                 raise UserError(option, expected="a light", found="--albedo, which is the colour under none")
+            if given and not kind.lit:
+                found = f"--format {kind.name}, which holds materials"
+                raise UserError(option, expected="a format of colours under a light", found=found)
 
 
 __all__ = ["FORMATS", "ExportConfig", "Format"]

@@ -14,7 +14,7 @@ from samira_warp.support.errors import UserError
 if TYPE_CHECKING:
     from samira_warp.export.source import ExportSource
 
-Format = Literal["ply", "ply-sequence", "spz", "gltf-splats", "usd"]
+Format = Literal["ply", "ply-sequence", "spz", "gltf-splats", "usd", "glb", "avatar-web"]
 """Names of `FORMATS`."""
 
 Writer = Callable[["ExportSource", Path], str]
@@ -36,6 +36,8 @@ class ExportFormat:
         frames: "one", "many", or "either": one, unless --frames or --split asks for a sequence.
         libraries: What it imports that may be missing, as pip calls it, by the import's name.
         extra: The extra of this package that installs them.
+        lit: Whether it holds colours under a light; False holds materials, which what opens it lights.
+        textures: Whether it has textures.
     """
 
     name: Format
@@ -45,6 +47,8 @@ class ExportFormat:
     frames: Literal["one", "many", "either"] = "one"
     libraries: tuple[tuple[str, str], ...] = ()
     extra: str = ""
+    lit: bool = True
+    textures: bool = False
 
     def check_target(self, out: Path) -> None:
         """Raise UserError unless ``out`` is called as the format's files are, and can take its place."""
@@ -92,6 +96,8 @@ FORMATS: dict[Format, ExportFormat] = {
         ExportFormat(
             "usd", "usd", (".usdc", ".usda", ".usdz"), libraries=(("pxr.UsdVol", "usd-core"),), extra="usd"
         ),
+        ExportFormat("glb", "glb", (".glb",), frames="many", lit=False, textures=True),
+        ExportFormat("avatar-web", "avatar_web", target="folder", frames="many"),
     )
 }
 """Another format is a module with a function `write`, a line here and its name in `Format`."""

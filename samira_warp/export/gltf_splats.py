@@ -7,8 +7,6 @@ in COLOR_0, which glTF has in linear light.
 
 from __future__ import annotations
 
-import json
-import struct
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +14,7 @@ import numpy as np
 import torch
 
 from samira_warp import __version__
+from samira_warp.export.gltf import container
 from samira_warp.export.source import ExportSource
 from samira_warp.export.splats import Splats, frame_splats
 from samira_warp.light import decode_srgb
@@ -72,7 +71,7 @@ def encode(splats: Splats, *, name: str) -> bytes:
         "bufferViews": views,
         "buffers": [{"byteLength": offset}],
     }
-    return _container(document, b"".join(values.tobytes() for values in attributes.values()))
+    return container(document, b"".join(values.tobytes() for values in attributes.values()))
 
 
 def _attributes(splats: Splats) -> dict[str, np.ndarray]:
@@ -99,15 +98,3 @@ def _accessor(values: np.ndarray, *, view: int) -> dict[str, Any]:
         "count": len(values),
         "type": _TYPES[values.shape[1]],
     } | ({"normalized": True} if whole else {})
-
-
-def _container(document: dict[str, Any], binary: bytes) -> bytes:
-    """A .glb of a document and its buffer: a header of 12 bytes and two chunks of a multiple of 4."""
-    text = json.dumps(document, separators=(",", ":")).encode("utf-8")
-    text += b" " * (-len(text) % 4)
-    binary += b"\0" * (-len(binary) % 4)
-    chunks = [
-        struct.pack("<I4s", len(text), b"JSON") + text,
-        struct.pack("<I4s", len(binary), b"BIN\0") + binary,
-    ]
-    return struct.pack("<4sII", b"glTF", 2, 12 + sum(map(len, chunks))) + b"".join(chunks)

@@ -14,12 +14,13 @@ from samira_warp.io.images import read_image, to_uint8, write_exr
 from samira_warp.light import Environment
 from samira_warp.light.cross import cube_to_cross
 from samira_warp.render import RenderConfig, render
+from samira_warp.stage.face_controls import expression_controls, joint_controls
 from samira_warp.stage.viewpoint import Viewpoint
 from samira_warp.view.carried import Carrier
 from samira_warp.view.command_line import command_of, viewpoint_of
 from samira_warp.view.lights import Lights
 from samira_warp.view.look import Look
-from samira_warp.view.posing import Poser, expression_controls, joint_controls
+from samira_warp.view.posing import Poser
 from samira_warp.view.scene import Scene, Shown, Sides
 from samira_warp.view.splats import SPLAT_UNITS
 from samira_warp.view.stages import Stages

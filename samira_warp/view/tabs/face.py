@@ -8,8 +8,13 @@ from typing import Any
 
 import viser
 
+from samira_warp.stage.face_controls import (
+    ExpressionControl,
+    JointControl,
+    expression_controls,
+    joint_controls,
+)
 from samira_warp.view.controls import on_change, on_click, put
-from samira_warp.view.posing import ExpressionControl, JointControl, expression_controls, joint_controls
 from samira_warp.view.session import Session
 from samira_warp.view.state import State
 
