@@ -60,7 +60,7 @@ def map_shapes(template: HeadTemplate) -> ShapeMap:
     opened = NUMBER_OF["jawOpen"]
     if not expression[:, opened].any() and "jaw" in template.joint_names:
         jaw[0, opened] = np.radians(JAW_OPEN)
-    moving = np.concatenate([expression, jaw]).any(axis=0)
+    moving: np.ndarray = np.asarray(np.concatenate([expression, jaw]).any(axis=0))
     count = int(moving.sum())
     return ShapeMap(expression, jaw, _missing(template, moving), f"{count} of ARKit's 52 shapes by name")
 

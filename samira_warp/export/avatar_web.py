@@ -81,7 +81,9 @@ def write(source: ExportSource, folder: Path) -> str:
 
 def bound_splats(avatar: Avatar, frames: Sequence[DrivingFrame]) -> BoundSplats:
     """The Gaussians of an avatar on their triangles, with the mean of its motion residual over frames."""
-    means, quaternions, scales = [], [], []
+    means: list[torch.Tensor] = []
+    quaternions: list[torch.Tensor] = []
+    scales: list[torch.Tensor] = []
     for frame in frames:
         motion = avatar.move(frame.parameters)
         faces = triangle_frames(motion.head.vertices, avatar.canonical.topology)

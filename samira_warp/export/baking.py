@@ -86,13 +86,13 @@ class Texels(NamedTuple):
 
     Attributes:
         size: H = W.
-        index: (T,) int64 their places in the flattened map.
+        numbers: (T,) int64 theirs in the flattened map.
         corners: (T, 3) int64 ids of the split mesh's vertices about each.
         weights: (T, 3) float32 barycentric.
     """
 
     size: int
-    index: Tensor
+    numbers: Tensor
     corners: Tensor
     weights: Tensor
 
@@ -106,12 +106,12 @@ class Texels(NamedTuple):
 
     def some(self, chosen: Tensor) -> Texels:
         """Those of them that a (T,) mask chooses."""
-        return Texels(self.size, self.index[chosen], self.corners[chosen], self.weights[chosen])
+        return Texels(self.size, self.numbers[chosen], self.corners[chosen], self.weights[chosen])
 
     @property
     def places(self) -> Tensor:
         """(T, 2) u and v of their centres."""
-        row, column = self.index // self.size, self.index % self.size
+        row, column = self.numbers // self.size, self.numbers % self.size
         return torch.stack([column + 0.5, self.size - row - 0.5], dim=1) / self.size
 
     def of_vertices(self, values: Tensor) -> Tensor:
@@ -127,7 +127,7 @@ class Texels(NamedTuple):
     def filled(self, values: Tensor, known: Tensor) -> Tensor:
         """(H, W, C) map of (T, C) values; all else copies the nearest of those (T,) that are known."""
         whole = values.new_zeros(self.size**2, values.shape[1])
-        whole[self.index] = values
+        whole[self.numbers] = values
         row, column = distance_transform_edt(self._away(known), return_distances=False, return_indices=True)
         return whole[torch.from_numpy(row.astype(np.int64) * self.size + column)]
 
@@ -135,12 +135,12 @@ class Texels(NamedTuple):
         """(T,) texels from each to the nearest of those that are known; infinite where none is."""
         if not bool(known.any()):
             return torch.full(known.shape, torch.inf)
-        return torch.from_numpy(distance_transform_edt(self._away(known))).flatten()[self.index]
+        return torch.from_numpy(distance_transform_edt(self._away(known))).flatten()[self.numbers]
 
     def _away(self, known: Tensor) -> np.ndarray:
         """(H, W) bool, False at those of the (T,) texels that are known."""
         away = torch.ones(self.size**2, dtype=torch.bool)
-        away[self.index] = ~known
+        away[self.numbers] = ~known
         return away.view(self.size, self.size).numpy()
 
 
@@ -159,7 +159,7 @@ def bake(avatar: Avatar, frames: Sequence[DrivingFrame], mesh: SplitMesh, *, siz
     values, weights = _seen(avatar, looked_at, mesh, texels)
     seen = weights > 0.0
     values = values / weights.clamp(min=torch.finfo(values.dtype).tiny)[:, None]
-    values = texels.filled(values, seen).flatten(0, 1)[texels.index]
+    values = texels.filled(values, seen).flatten(0, 1)[texels.numbers]
     far = texels.distances(seen) > SPREAD
     values[far] = _carried(avatar, looked_at[0], mesh, texels.some(far))
     whole = texels.filled(values, torch.ones_like(seen))
@@ -199,7 +199,7 @@ def _seen(
     """(T, C) weighted sums of the channels over all views, and (T,) of the weights; 0 where none sees."""
     lens = frames[0].camera.with_longer_side(round(PIXELS * texels.size))
     rays = RayMesh(avatar.canonical.vertices, avatar.canonical.topology.faces)
-    total, weights = torch.zeros(len(texels.index), sum(WIDTHS.values())), torch.zeros(len(texels.index))
+    total, weights = torch.zeros(len(texels.numbers), sum(WIDTHS.values())), torch.zeros(len(texels.numbers))
     views = [(frame, BEFORE + (BESIDE if number == 0 else ())) for number, frame in enumerate(frames)]
     with tqdm(total=sum(len(places) for _, places in views), unit="view", dynamic_ncols=True) as progress:
         for frame, places in views:

@@ -197,7 +197,7 @@ def test_a_texture_has_its_colours_in_their_places(mesh):
     textures = bake(avatar, made_source(avatar).frames, mesh, size=SIZE)
     texels = Texels.of(mesh, size=SIZE)
     wanted = ramp(texels.of_vertices(canonical.vertices[mesh.source])[:, 1])
-    found = decode_srgb(textures.base_color).flatten(0, 1)[texels.index, 0]
+    found = decode_srgb(textures.base_color).flatten(0, 1)[texels.numbers, 0]
     error = (found - wanted).abs()
     # a face is a thirteenth of the ball high, 0.05 of the ramp, and a Gaussian about as wide
     assert float(error.median()) < 0.05
