@@ -165,7 +165,7 @@ def _moments(
 @wp.func
 def _filtered(
     fields: wp.array3d[Lanes], band: wp.array2d[wp.float32], field: wp.int32, row: wp.int32, place: wp.int32
-) -> Any:
+) -> Lanes:  # type: ignore[valid-type]
     """A field's mean down the columns."""
     total = Lanes()
     for source in range(wp.max(row - RADIUS, 0), wp.min(row + RADIUS + 1, fields.shape[1])):
