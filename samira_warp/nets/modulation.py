@@ -93,7 +93,9 @@ class RegionModulators(nn.Module):
     def _texels_by_region(self) -> _TexelOrder:
         """Found again when the masks have been replaced."""
         if self._order is None or self._order[0] is not self.masks:
-            self._order = self.masks, _TexelOrder.of(self.masks[0, :, 0])
+            # a tensor of inference mode could never be saved for a backward pass
+            with torch.inference_mode(False), torch.no_grad():
+                self._order = self.masks, _TexelOrder.of(self.masks[0, :, 0].clone())
         return self._order[1]
 
 

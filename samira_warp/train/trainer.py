@@ -15,6 +15,7 @@ from samira_warp.evaluate.metrics import psnr
 from samira_warp.geometry.camera import Camera
 from samira_warp.geometry.mesh import face_areas
 from samira_warp.head import FrameParameters
+from samira_warp.support.errors import UserError
 from samira_warp.train.begun import CHECKPOINTS_FOLDER
 from samira_warp.train.checkpoint import TrainingState, load_training, save_checkpoint
 from samira_warp.train.density import DensityStatistics, control_density, reset_opacity
@@ -151,14 +152,21 @@ class Trainer:
         forget_gaussians(self.optimizer, self.avatar.gaussians.guessed)
 
     @torch.no_grad()
-    def test_psnr(self) -> float:
-        """Mean PSNR of a few test frames as the avatar is now, dB; nothing is learned from them."""
+    def test_psnr(self) -> float | None:
+        """Mean PSNR of a few test frames as the avatar is now, dB; nothing is learned from them.
+
+        None where a picture of them cannot be read, which the results will say once the avatar is kept.
+        """
         light, found = self.avatar.light(), []
         for index in spread_out(self.sequence.test, TEST_VIEWS):
             frame = self.sequence.frames[index]
             shadows = self.avatar.settings.visibility
             rendering = self.avatar.render(frame.parameters, self.camera(frame), light, shadows=shadows)
-            found.append(psnr(rendering.image.cpu().clamp(0.0, 1.0), self.pixels[index].image))
+            try:
+                truth = self.pixels[index].image
+            except UserError:
+                return None
+            found.append(psnr(rendering.image.cpu().clamp(0.0, 1.0), truth))
         return float(torch.stack(found).mean())
 
     def train_step(self) -> tuple[Rendering, Target, dict[str, torch.Tensor]]:
@@ -171,7 +179,8 @@ class Trainer:
             This rank's rendering, what it should be, and the detached loss terms by name, summed over the
             frames of all ranks, with ``mse``, the mean squared error of the image.
         """
-        taken = range(self.step, min(self.step + self.ranks.count, self.schedule.steps))
+        last = max(self.schedule.steps, self.step + 1)
+        taken = range(self.step, min(self.step + self.ranks.count, last))
         own = self.step + self.ranks.index
         step, counts = min(own, taken[-1]), own in taken
         if any(map(self.schedule.extended_at, taken)):

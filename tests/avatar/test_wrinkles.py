@@ -12,7 +12,9 @@ from samira_warp.kernels.mesh.topology import MeshTopology
 from samira_warp.kernels.mesh.triangle_frames import triangle_frames
 from samira_warp.nets import MotionSettings
 
-SMALL = MotionSettings(width=8, region_width=4, condition_width=8, bands=3, wrinkles=True)
+SMALL = MotionSettings(
+    width=8, region_width=4, condition_width=8, bands=3, displacement_bands=3, wrinkles=True
+)
 
 
 @pytest.fixture

@@ -9,6 +9,8 @@ import sys
 import pytest
 from warm_start import warm_python
 
+from samira_warp.avatar.storage.older import READABLE
+
 BLOCKED = """
 import sys
 
@@ -58,7 +60,10 @@ def export(place, *words, blocked=False):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--avatar", "newer", "--out", "a.spz"], "format 1 to 6, found format 99, which a newer version"),
+        (
+            ["--avatar", "newer", "--out", "a.spz"],
+            f"format 1 to {READABLE[-1]}, found format 99, which a newer version",
+        ),
         (["--avatar", "empty", "--out", "a.glb", "--format", "gltf-splats"], "expected an avatar or a fini"),
         (["--avatar", "none", "--out", "a.usdc"], "none: expected an avatar or a finished run"),
         (["--avatar", "RUN", "--out", "a.ply", "--env", "broken.hdr"], "broken.hdr"),

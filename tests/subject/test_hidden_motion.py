@@ -105,8 +105,9 @@ def films(cast, tmp_path_factory):
     """The same film with hidden motion and without."""
     folder, lights = tmp_path_factory.mktemp("films"), [built_in_light(name) for name in PLAN.lights]
     still = Cast(cast.template, cast.identity, cast.materials)
-    make_subject(folder / "still", PLAN, lambda: still, lights)
-    make_subject(folder / "moving", replace(PLAN, hidden=True), lambda: cast, lights)
+    plan = replace(PLAN, hidden=True)
+    make_subject(folder / "still", plan, lambda: still, lights)
+    make_subject(folder / "moving", plan, lambda: cast, lights)
     return folder
 
 

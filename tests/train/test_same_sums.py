@@ -32,15 +32,15 @@ def all_equal(results):
     return all(torch.equal(results[0], other) for other in results[1:])
 
 
-def test_a_sum_of_many_values_has_other_bits_with_other_threads(generator, use_threads):
+def test_a_sum_of_many_values_has_the_same_bits_with_as_many_threads(generator, use_threads):
+    """With another number of threads it may have others: how torch divides it is torch's own affair."""
     values = torch.randn(MANY, generator=generator)
     sums = {}
     for threads in (1, 2, 8):
         use_threads(threads)
         sums[threads] = values.sum()
-        assert all_equal([values.sum() for _ in range(5)])  # with as many threads it is the same
-    # the values differ by the roundings of a million additions: next to nothing, and not nothing
-    assert len({float(total) for total in sums.values()}) > 1
+        assert all_equal([values.sum() for _ in range(5)])
+    # the roundings of a million additions
     assert max(sums.values()) - min(sums.values()) < 1e-2
 
 

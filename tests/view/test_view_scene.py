@@ -1,6 +1,7 @@
 """What is chosen against the picture that is made of it: to the bit, whatever was shown before."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,6 +10,8 @@ from subjects import parameters
 
 from samira_warp.avatar import Avatar, MaterialEdit, read_frames
 from samira_warp.avatar.storage import find_avatar
+from samira_warp.export.config import ExportConfig
+from samira_warp.export.source import ExportSource
 from samira_warp.export.splats import frame_splats
 from samira_warp.io.images import read_image, to_uint8, write_exr
 from samira_warp.light import Environment
@@ -300,7 +303,11 @@ def test_splats_are_those_that_export_writes(scene, start):
     camera = start.look.camera(SIDE, SIDE)
     light = scene.lights.lit(avatar, state.light, detail="full").filtered
     with torch.no_grad():
-        theirs = frame_splats(avatar, frame._replace(camera=camera), light)
+        config = ExportConfig(Path("avatar"), Path("splats.ply"))
+        casts = scene.casts_shadows(avatar, state.light)
+        source = ExportSource(config, Path("avatar"), avatar, (frame,), (frame,), None, casts, "none")
+        vars(source)["filtered"] = light  # as the viewer has it
+        theirs = frame_splats(source, frame._replace(camera=camera))
     np.testing.assert_array_equal(splats.centers, theirs.means.numpy())
     colors = theirs.colors.clamp(0.0, 1.0).numpy()
     # rounded to the nearest of 256; twice the rounding of float32 in another order

@@ -6,7 +6,6 @@ each lane of a vector is a column of its own, and a row's neighbours are the sam
 
 from __future__ import annotations
 
-import functools
 from typing import Any
 
 import torch
@@ -15,6 +14,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from samira_warp.kernels.runtime import launch_range
+from samira_warp.support.caching import cached_tensors
 from samira_warp.support.errors import UserError
 from samira_warp.support.validation import check_tensors
 
@@ -67,7 +67,7 @@ def window() -> Tensor:
     return weights / weights.sum()
 
 
-@functools.lru_cache(maxsize=16)
+@cached_tensors(16)
 def _bands(count: int, device: torch.device) -> tuple[Tensor, Tensor]:
     """(count, WINDOW) weights of the neighbours from -RADIUS to RADIUS of each row, and of the transpose's.
 
