@@ -10,6 +10,7 @@ from torch import Tensor
 
 from samira_warp.geometry.camera import Camera
 from samira_warp.kernels.raster.rasterizer import ScreenSplats, blend_again, rasterize
+from samira_warp.kernels.raster.straight import straighten
 from samira_warp.kernels.shading.checks import check_surface
 from samira_warp.support.constants import COVERED_ALPHA
 from samira_warp.support.validation import check_tensor
@@ -80,18 +81,15 @@ def render_gbuffer(
     blended = rasterize(means, quaternions, scales, opacities, features, camera)
     if blended.means2d.requires_grad:
         blended.means2d.retain_grad()
-    alpha = blended.alpha[..., None]
-    straight = blended.features / alpha.clamp(min=COVERED_ALPHA)
-    *sums, depth = straight.split([*(CHANNELS[name].width for name in names), 1], dim=-1)
-    means_of = dict(zip(names, sums, strict=True))
-    if lit:
-        covered = alpha >= COVERED_ALPHA
-        means_of |= {name: torch.where(covered, means_of[name], 1.0) for name in LIGHT_CHANNELS}
-    seen = Surface.of(**means_of).map(
-        lambda mean: torch.nn.functional.normalize(mean, dim=-1), blend="direction"
-    )
+    straight = straighten(blended.features, blended.alpha)
     screen = ScreenGaussians(blended.means2d, blended.visible)
-    return GBuffer(**seen.channels(), depth=depth, alpha=alpha, screen=screen, splats=blended.splats)
+    return GBuffer(
+        **straight.surface.channels(),
+        depth=straight.depth,
+        alpha=blended.alpha[..., None],
+        screen=screen,
+        splats=blended.splats,
+    )
 
 
 def blend_arrival(gbuffer: GBuffer, arrival: Tensor) -> GBuffer:

@@ -79,7 +79,8 @@ class RegionModulators(nn.Module):
         mix = self.mix.weight.view(count, channels, channels, TAPS).transpose(2, 3).flatten(2)
         mix_bias, out_bias = (part.get_parameter("bias").view(count, -1) for part in (self.mix, self.out))
         out = self.out.weight.view(count, channels, channels)
-        texels = features[0].flatten(1).T.index_select(0, order.texels).split(order.counts)
+        # rows are read whole: of a transposed view each would be gathered number by number
+        texels = features[0].flatten(1).T.contiguous().index_select(0, order.texels).split(order.counts)
         own = torch.cat([rows @ w.T for rows, w in zip(texels, project, strict=True)])
         beyond = features.new_zeros(1, channels)
         around = torch.cat([own, beyond]).index_select(0, order.neighbours)

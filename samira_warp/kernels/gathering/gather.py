@@ -14,6 +14,8 @@ import warp as wp
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from samira_warp.kernels.gathering import gather_cpu
+from samira_warp.kernels.gathering.gather_cpu import gather_group, gather_row
 from samira_warp.kernels.gathering.grouping import group_by
 from samira_warp.kernels.runtime import launch_range
 from samira_warp.support.errors import UserError
@@ -146,10 +148,20 @@ class _Gather(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, values: Tensor, table: GatherTable) -> Tensor:
         ctx.table = table
-        result = values.new_empty(table.rows, values.shape[1])
-        launch_range(
-            _gather, result.numel(), table.indices, table.weights, values.contiguous(), result, grain=GRAIN
-        )
+        result, values = values.new_empty(table.rows, values.shape[1]), values.contiguous()
+        if values.device.type == "cpu":
+            entries = table.indices.view(-1), table.weights.view(-1)
+            launch_range(
+                gather_row,
+                table.rows,
+                table.indices.shape[1],
+                *entries,
+                values,
+                result,
+                grain=gather_cpu.GRAIN,
+            )
+        else:
+            launch_range(_gather, result.numel(), table.indices, table.weights, values, result, grain=GRAIN)
         return result
 
     @staticmethod
@@ -160,14 +172,11 @@ class _Gather(torch.autograd.Function):
         # the adjoint of a gather is the gather along the transpose: each source sums in one order, without
         # atomics
         transpose = (table.transpose_offsets, table.transpose_rows, table.transpose_weights)
-        launch_range(
-            _gather_transposed,
-            grad_values.numel(),
-            *transpose,
-            grad_result.contiguous(),
-            grad_values,
-            grain=GRAIN,
-        )
+        arguments = (*transpose, grad_result.contiguous(), grad_values)
+        if grad_values.device.type == "cpu":
+            launch_range(gather_group, table.sources, *arguments, grain=gather_cpu.GRAIN)
+        else:
+            launch_range(_gather_transposed, grad_values.numel(), *arguments, grain=GRAIN)
         return grad_values, None
 
 
