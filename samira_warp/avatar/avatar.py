@@ -17,17 +17,18 @@ from samira_warp.avatar.gaussians import Gaussians
 from samira_warp.avatar.gbuffer import GBuffer, blend_arrival, light_channels, render_gbuffer
 from samira_warp.avatar.occlusion import Occluder, Occlusion, gaussian_arrival
 from samira_warp.avatar.portrait import Portraits, png_of
-from samira_warp.avatar.residual import axis_angle_to_quaternion, limit_residual, quaternion_product
+from samira_warp.avatar.residual import limit_residual
 from samira_warp.avatar.response import response_factors, response_map
 from samira_warp.avatar.settings import AvatarSettings
 from samira_warp.avatar.storage import find_avatar, naming_misfits, read_avatar, write_avatar
 from samira_warp.avatar.uv_sampling import corner_table
-from samira_warp.avatar.wrinkles import face_tangents, limit_slopes, wrinkled
+from samira_warp.avatar.wrinkles import face_tangents, wrinkled
 from samira_warp.geometry.camera import Camera
 from samira_warp.head import REGIONS, FrameParameters, PosedHead, UvAtlas
 from samira_warp.kernels.gathering.gather import GatherTable, bilinear_table, gather
 from samira_warp.kernels.mesh.binding import BoundGaussians, FaceBinding, bind
 from samira_warp.kernels.mesh.triangle_frames import TriangleFrames, triangle_frames
+from samira_warp.kernels.mesh.turning import turn
 from samira_warp.light import (
     ColorSpace,
     Environment,
@@ -38,7 +39,6 @@ from samira_warp.light import (
     to_display,
 )
 from samira_warp.nets import Conditions, ConditionStatistics, MotionNetwork
-from samira_warp.nets.motion import RESIDUAL_CHANNELS
 from samira_warp.support.errors import UserError
 from samira_warp.support.tone_names import ToneMap
 from samira_warp.surface import Surface
@@ -185,20 +185,18 @@ class Avatar(nn.Module):
         else:
             residual = self._residual(self.canonical.pose(seen), seen)
         sampled = gather(residual.reshape(-1, residual.shape[-1]), self.uv_samples)
-        position, rotation = limit_residual(sampled[:, :RESIDUAL_CHANNELS])
-        slopes = torch.zeros_like(residual[..., :2])
+        position, rotation, slopes = limit_residual(sampled)
         if self.settings.motion.wrinkles:
-            slopes = limit_slopes(residual[..., RESIDUAL_CHANNELS:])
-            normals = wrinkled(normals, limit_slopes(sampled[:, RESIDUAL_CHANNELS:]), self.tangents)
+            normals = wrinkled(normals, slopes, self.tangents)
         bound = self._bound(frames, normals)
         if self.settings.residual_frame == "head":
             axes = head.head_transform[:3, :3].T
             position, rotation = position @ axes, rotation @ axes
-        refined = bound._replace(
-            means=bound.means + position,
-            quaternions=quaternion_product(axis_angle_to_quaternion(rotation), bound.quaternions),
-        )
-        return Motion(head, refined, *limit_residual(residual[..., :RESIDUAL_CHANNELS]), slopes, normals)
+        refined = bound._replace(means=bound.means + position, quaternions=turn(bound.quaternions, rotation))
+        limited = limit_residual(residual)
+        if not self.settings.motion.wrinkles:
+            limited = limited._replace(slopes=torch.zeros_like(residual[..., :2]))
+        return Motion(head, refined, *limited, normals)
 
     def _residual(self, head: PosedHead, parameters: FrameParameters) -> torch.Tensor:
         """(H, W, C) what the network says of a frame, before limits (Eqs. uv_displacement to dynamic_map).

@@ -2,38 +2,40 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
+
+from samira_warp.avatar.wrinkles import SLOPE_LIMIT
 
 POSITION_LIMIT = 0.02
 """Metres, s_mu: more than tracking is wrong by, less than a lip's width."""
 
-SMALL_ANGLE = 1e-4
-"""Radians; below it the half-angle sine is taken from its series, so that value and gradient exist at
-zero."""
+
+class LimitedResidual(NamedTuple):
+    """A residual within its limits.
+
+    Attributes:
+        position: (..., 3) metres, s_mu tanh(o_mu).
+        rotation: (..., 3) axis-angle radians, pi tanh(o_r).
+        slopes: (..., 2) of wrinkles; (..., 0) of a network that gives none.
+    """
+
+    position: Tensor
+    rotation: Tensor
+    slopes: Tensor
 
 
-def limit_residual(residual: Tensor) -> tuple[Tensor, Tensor]:
-    """Position residual in metres and rotation residual as axis-angle radians, within their limits.
+def limit_residual(residual: Tensor) -> LimitedResidual:
+    """What the network gives, held to its limits.
 
     Args:
-        residual: (..., 6) o_mu and o_r.
-
-    Returns:
-        (..., 3) s_mu tanh(o_mu) and (..., 3) pi tanh(o_r).
+        residual: (..., 6) o_mu and o_r, or (..., 8) with the slopes of wrinkles.
     """
-    position, rotation = residual.split(3, dim=-1)
-    return POSITION_LIMIT * torch.tanh(position), torch.pi * torch.tanh(rotation)
-
-
-def axis_angle_to_quaternion(axis_angle: Tensor) -> Tensor:
-    """Unit quaternions (..., 4) w, x, y, z of axis-angle vectors (..., 3), with a gradient at zero."""
-    squared = (axis_angle * axis_angle).sum(dim=-1, keepdim=True)
-    small = squared < SMALL_ANGLE**2
-    angle = torch.where(small, torch.ones_like(squared), squared).sqrt()
-    cosine = torch.where(small, 1.0 - squared / 8.0, torch.cos(0.5 * angle))
-    sine_over_angle = torch.where(small, 0.5 - squared / 48.0, torch.sin(0.5 * angle) / angle)
-    return torch.cat([cosine, sine_over_angle * axis_angle], dim=-1)
+    # all at once: of a part of each row it takes a multiple of the time
+    position, rotation, slopes = torch.tanh(residual).tensor_split((3, 6), dim=-1)
+    return LimitedResidual(POSITION_LIMIT * position, torch.pi * rotation, SLOPE_LIMIT * slopes)
 
 
 def quaternion_product(left: Tensor, right: Tensor) -> Tensor:

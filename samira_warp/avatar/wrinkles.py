@@ -17,11 +17,6 @@ SLOPE_LIMIT = 1.0
 """Tangent of the steepest turn of a normal along each axis of the atlas: the side of a deep crease."""
 
 
-def limit_slopes(slopes: Tensor) -> Tensor:
-    """Slopes (..., 2) within their limit."""
-    return SLOPE_LIMIT * torch.tanh(slopes)
-
-
 def face_tangents(vertices: Tensor, topology: MeshTopology, atlas: UvAtlas) -> Tensor:
     """(F, 2, 3) unit directions in which u and v grow on every face, in the axes of the face's own frame.
 

@@ -4,13 +4,8 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from samira_warp.avatar.residual import (
-    POSITION_LIMIT,
-    SMALL_ANGLE,
-    axis_angle_to_quaternion,
-    limit_residual,
-    quaternion_product,
-)
+from samira_warp.avatar.residual import POSITION_LIMIT, limit_residual, quaternion_product
+from samira_warp.reference.mesh.turning import SMALL_ANGLE, axis_angle_to_quaternion
 
 ANGLES = [
     0.0,
@@ -82,11 +77,14 @@ def test_product_turns_by_the_right_one_first(device, generator):
 
 def test_limits(device, generator):
     residual = (3.0 * torch.randn(7, 6, generator=generator, dtype=torch.float64)).to(device)
-    position, rotation = limit_residual(residual)
+    position, rotation, none = limit_residual(residual)
+    assert none.shape == (7, 0)
     assert POSITION_LIMIT == 0.02
     torch.testing.assert_close(position, 0.02 * torch.tanh(residual[:, :3]))
     torch.testing.assert_close(rotation, math.pi * torch.tanh(residual[:, 3:]))
     extreme = limit_residual(torch.full((1, 6), 1e30, device=device))
     assert (extreme[0] <= 0.02).all()
     assert extreme[1].isfinite().all()
-    assert all((part == 0).all() for part in limit_residual(torch.zeros(2, 6, device=device)))
+    at_rest = limit_residual(torch.zeros(2, 8, device=device))
+    assert at_rest.slopes.shape == (2, 2)
+    assert all((part == 0).all() for part in at_rest)

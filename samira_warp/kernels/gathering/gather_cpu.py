@@ -1,7 +1,8 @@
 """The gather on a CPU: one index makes a whole row, whose entries are read once for all its channels.
 
 A GPU has a thread a number instead (`kernels.gathering.gather`). Channels are summed eight at a time, in
-registers, what is left four, two and one at a time, and each in the order of the entries, so both make the same sums.
+registers, what is left four, two and one at a time, and each in the order of the entries, so both make the
+same sums.
 """
 
 from __future__ import annotations
