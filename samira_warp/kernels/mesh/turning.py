@@ -54,7 +54,7 @@ class _Turn(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, grad_turned: Tensor) -> tuple[Tensor, Tensor]:
+    def backward(ctx: Any, grad_turned: Tensor) -> tuple[Tensor, ...]:
         inputs = ctx.saved_tensors
         grads = tuple(torch.empty_like(tensor) for tensor in inputs)
         launch_range(_turn_adjoint, len(grad_turned), *inputs, grad_turned.contiguous(), *grads, grain=GRAIN)
