@@ -18,6 +18,7 @@ from samira_warp.support.errors import UserError
 from samira_warp.train.density import DensityStatistics
 from samira_warp.train.occlusions import FrameOcclusions
 from samira_warp.train.row_adam import RowAdam
+from samira_warp.train.shared_light import SharedLight
 from samira_warp.train.tracking import TrackedParameters
 
 KEPT = 2
@@ -34,6 +35,7 @@ class TrainingState(NamedTuple):
         step: Number of steps done.
         avatar: The avatar.
         tracked: The training frames' parameters.
+        light: The light, with what frames have asked of it since it last changed.
         occlusions: What the head blocks in them.
         optimizer: Adam, with its moments.
         density: Statistics since the last density control event.
@@ -42,6 +44,7 @@ class TrainingState(NamedTuple):
     step: int
     avatar: Avatar
     tracked: TrackedParameters
+    light: SharedLight
     occlusions: FrameOcclusions
     optimizer: RowAdam
     density: DensityStatistics
@@ -107,6 +110,7 @@ def load_training(path: Path, state: TrainingState) -> int:
         state.tracked.load_state_dict(_named(tensors, "tracked."))
         if state.avatar.settings.visibility:
             state.occlusions.load_state(_named(tensors, "occlusions."))
+        state.light.load_state(_named(tensors, "light."))
         state.density.gradient.copy_(tensors["density.gradient"])
         state.density.views.copy_(tensors["density.views"])
     except (KeyError, RuntimeError) as error:
@@ -136,6 +140,7 @@ def _training_tensors(state: TrainingState) -> dict[str, torch.Tensor]:
     tensors = {f"tracked.{name}": value for name, value in state.tracked.state_dict().items()}
     if state.avatar.settings.visibility:
         tensors |= {f"occlusions.{name}": value for name, value in state.occlusions.state().items()}
+    tensors |= {f"light.{name}": value for name, value in state.light.state().items()}
     tensors |= {"density.gradient": state.density.gradient, "density.views": state.density.views}
     for group in state.optimizer.param_groups:
         for index, parameter in enumerate(group["params"]):

@@ -47,8 +47,12 @@ def make_optimizer(avatar: Avatar, tracked: TrackedParameters) -> RowAdam:
     )
 
 
-def set_rates(optimizer: torch.optim.Adam, *, step: int, steps: int, frames: int = 1) -> None:
+def set_rates(
+    optimizer: torch.optim.Adam, *, step: int, steps: int, frames: int = 1, light_frames: int = 1
+) -> None:
     """Give every group its rate and decay at ``step`` of ``steps``, for the mean of some frames' gradients.
+
+    Those of the light are of ``light_frames`` (`train.shared_light`).
 
     A frame's row learns from that frame alone, once, as it would by itself. What all frames share takes one
     step for ``frames`` of them: root ``frames`` times as far, and the moments decay as they would in as many
@@ -60,8 +64,9 @@ def set_rates(optimizer: torch.optim.Adam, *, step: int, steps: int, frames: int
         alone = group.get("rows", False)
         group["lr"] = learning_rate(group["name"], step=step, steps=steps)
         if not alone:
-            group["lr"] *= math.sqrt(frames)
-            group["betas"] = tuple(decay**frames for decay in DECAY)
+            together = light_frames if group["name"] == "light" else frames
+            group["lr"] *= math.sqrt(together)
+            group["betas"] = tuple(decay**together for decay in DECAY)
 
 
 def reset_moments(optimizer: torch.optim.Adam, group_name: str) -> None:

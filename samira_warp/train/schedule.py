@@ -21,6 +21,9 @@ SHORT_RUN = 10_000
 LONG_RUN = 30_000
 """Steps; from here on the paper's rates hold; between the two they are log-interpolated."""
 
+LIGHT_FRAMES = 4
+"""Frames that the light learns from at a time (`train.shared_light`): it is filtered once for all of them."""
+
 WARM_UP = 0.02
 """Share of the run over which every rate rises from zero."""
 

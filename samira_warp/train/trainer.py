@@ -15,6 +15,7 @@ from samira_warp.evaluate.metrics import psnr
 from samira_warp.geometry.camera import Camera
 from samira_warp.geometry.mesh import face_areas
 from samira_warp.head import FrameParameters
+from samira_warp.light import FilteredLight
 from samira_warp.support.errors import UserError
 from samira_warp.train.begun import CHECKPOINTS_FOLDER
 from samira_warp.train.checkpoint import TrainingState, load_training, save_checkpoint
@@ -37,6 +38,8 @@ from samira_warp.train.optimizer import (
 )
 from samira_warp.train.plan import TrainPlan
 from samira_warp.train.ranks import ALONE, Ranks
+from samira_warp.train.schedule import LIGHT_FRAMES
+from samira_warp.train.shared_light import SharedLight
 from samira_warp.train.skin import skin_faces
 from samira_warp.train.tracking import TrackedParameters
 from samira_warp.train.unseen import guess_unseen, hold_guesses, look
@@ -83,6 +86,7 @@ class Trainer:
         moments = [sequence.frames[index].timestep for index in sequence.train]
         noise = tracking_noise(sequence.batch(sequence.train), moments)
         self.noise = {name: values.to(self.device) for name, values in noise.items()}
+        self.light = SharedLight(avatar.light)
         self.occlusions = FrameOcclusions(avatar.canonical, avatar.occluder, self.tracked)
         self.known = Known.of(avatar, skin=_held_skin(plan, sequence, self.device))
         spread = initial_spread(avatar.canonical, plan.settings.gaussians)
@@ -194,10 +198,19 @@ class Trainer:
         self.avatar.response_logits.requires_grad_(stage_two)
         if self.avatar.motion.slopes is not None:
             self.avatar.motion.slopes.requires_grad_(stage_two)
-        set_rates(self.optimizer, step=self.step, steps=self.schedule.steps, frames=len(taken))
+        light_learns = any((step + 1) % LIGHT_FRAMES == 0 or step + 1 == last for step in taken)
+        light = self.light.light()
+        self.avatar.light.requires_grad_(light_learns)
+        set_rates(
+            self.optimizer,
+            step=self.step,
+            steps=self.schedule.steps,
+            frames=len(taken),
+            light_frames=self.light.frames + len(taken),
+        )
         frame, target = self._target(row, step)
         camera = self.camera(frame)
-        rendering = self._render(row, step, frame, camera, target.background)
+        rendering = self._render(row, step, frame, camera, light, target.background)
         perceptual = (
             self.perceptual if self.schedule.perceptual_on(step) and self._perceptual_turn(step) else None
         )
@@ -217,6 +230,9 @@ class Trainer:
         screened = self._screened(rendering, step)
         if self.ranks.count > 1:
             shown = self._exchange(shown, screened, row, counts=counts, frames=len(taken))
+        self.light.listen(frames=len(taken), ranks=self.ranks, counts=counts)
+        if light_learns:
+            self.light.learn()
         self.density.include(screened)
         hold_known(self.avatar.gaussians, self.known.materials.held)
         hold_guesses(self.avatar.gaussians)
@@ -261,16 +277,18 @@ class Trainer:
         return {name: total for name, total in zip(TERMS, terms, strict=True) if total is not None}
 
     def _render(
-        self, row: int, step: int, frame: Frame, camera: Camera, background: torch.Tensor
+        self,
+        row: int,
+        step: int,
+        frame: Frame,
+        camera: Camera,
+        light: FilteredLight,
+        background: torch.Tensor,
     ) -> Rendering:
         """`Avatar.render` of a training frame under the learned light, with what was traced of it before."""
         avatar = self.avatar
         parameters = self.tracked.frame(row, frame.parameters.to(self.device))
-        motion, light, arrival = (
-            avatar.move(parameters, seen=self._seen(parameters, step)),
-            avatar.light(),
-            None,
-        )
+        motion, arrival = avatar.move(parameters, seen=self._seen(parameters, step)), None
         if avatar.settings.visibility:
             occlusion = self.occlusions.of(row, parameters, motion.head)
             arrival = avatar.arrival(occlusion, light, camera)
@@ -286,7 +304,13 @@ class Trainer:
 
     def _state(self) -> TrainingState:
         return TrainingState(
-            self.step, self.avatar, self.tracked, self.occlusions, self.optimizer, self.density
+            self.step,
+            self.avatar,
+            self.tracked,
+            self.light,
+            self.occlusions,
+            self.optimizer,
+            self.density,
         )
 
     def camera(self, frame: Frame) -> Camera:
