@@ -9,6 +9,7 @@ from samira_warp.train.checkpoint import KEPT, TrainingState, last_checkpoint, l
 from samira_warp.train.density import DensityStatistics
 from samira_warp.train.occlusions import FrameOcclusions
 from samira_warp.train.optimizer import make_optimizer, set_rates
+from samira_warp.train.shared_light import SharedLight
 from samira_warp.train.tracking import TrackedParameters
 
 
@@ -35,7 +36,10 @@ def state():
     for row in (0, 2):
         frame = tracked.frame(row, parameters(row))
         occlusions.of(row, frame, avatar.canonical.pose(frame))
-    return TrainingState(7, avatar, tracked, occlusions, optimizer, density)
+    light = SharedLight(avatar.light)
+    light.gradient.uniform_()
+    light.frames = 3
+    return TrainingState(7, avatar, tracked, light, occlusions, optimizer, density)
 
 
 def fresh_state(avatar):
@@ -43,15 +47,18 @@ def fresh_state(avatar):
     tracked = tracked_frames()
     density = DensityStatistics(len(avatar.gaussians), torch.device("cpu"))
     occlusions = FrameOcclusions(avatar.canonical, avatar.occluder, tracked)
-    return TrainingState(0, avatar, tracked, occlusions, make_optimizer(avatar, tracked), density)
+    light, optimizer = SharedLight(avatar.light), make_optimizer(avatar, tracked)
+    return TrainingState(0, avatar, tracked, light, occlusions, optimizer, density)
 
 
 def test_everything_that_changes_comes_back(state, tmp_path):
     path = save_checkpoint(tmp_path, state, record={"subject": "tiny"})
     assert path == last_checkpoint(tmp_path) == tmp_path / "step_000007"
     fresh = fresh_state(Avatar.load(path))
-    _, avatar, tracked, occlusions, optimizer, density = fresh
+    _, avatar, tracked, light, occlusions, optimizer, density = fresh
     assert load_training(path, fresh) == 7
+    assert light.frames == 3
+    assert torch.equal(light.gradient, state.light.gradient)
     assert occlusions.traced.tolist() == [True, False, True]
     assert all(
         torch.equal(values, occlusions.state()[name]) for name, values in state.occlusions.state().items()
@@ -73,9 +80,12 @@ def test_everything_that_changes_comes_back(state, tmp_path):
 
 
 def as_before_joints_had_names(path):
-    """Rewrite a checkpoint's training state as it was when FLAME's poses were four tensors."""
+    """Rewrite a checkpoint's training state as it was when FLAME's poses were four tensors.
+
+    The light learned at every step then.
+    """
     file = path / "training.safetensors"
-    tensors = load_file(file)
+    tensors = {name: value for name, value in load_file(file).items() if not name.startswith("light.")}
     parts = {"rotation": slice(0, 1), "neck": slice(1, 2), "jaw": slice(2, 3), "eyes": slice(3, 5)}
     rotations = tensors.pop("tracked.rotations")
     moments = {name: tensors.pop(f"adam.pose.0.{name}") for name in ("exp_avg", "exp_avg_sq", "step")}
@@ -94,6 +104,7 @@ def test_an_older_checkpoint_is_gone_on_from(state, tmp_path):
     fresh = fresh_state(Avatar.load(path))
     tracked, optimizer = fresh.tracked, fresh.optimizer
     assert load_training(path, fresh) == 7
+    assert fresh.light.frames == 0
     assert torch.equal(tracked.rotations, state.tracked.rotations)
     assert torch.equal(tracked.expression, state.tracked.expression)
     moments, expected = (

@@ -17,7 +17,7 @@ from warm_start import warm_python
 from samira_warp.data import PixelCache
 from samira_warp.support.errors import UserError
 from samira_warp.train.config import TrainConfig
-from samira_warp.train.losses import TERMS, Known, Target, loss_weights, total_loss
+from samira_warp.train.losses import TERMS, Known, Target, light_prior, loss_weights, total_loss
 from samira_warp.train.optimizer import DECAY, make_optimizer, set_rates
 from samira_warp.train.plan import make_plan
 from samira_warp.train.ranks import ALONE, Ranks, joined
@@ -177,12 +177,26 @@ def shown_first(count=2):
     return rows, [torch.ones(3), torch.rand(3, generator=torch.Generator().manual_seed(seed + 1))]
 
 
+def asked_of_the_light(alone, asked):
+    """The gradients of the light's parameters by name, of what frames ask of its maps and its own prior."""
+    light = alone.avatar.light
+    filtered = light()
+    maps = [filtered.irradiance, *filtered.specular, filtered.radiance]
+    parts = asked.split([values.numel() for values in maps])
+    answer = sum((part.view_as(values) * values).sum() for part, values in zip(parts, maps, strict=True))
+    prior = loss_weights().light * light_prior(*light.radiance())
+    found = torch.autograd.grad(answer + prior, list(light.parameters()))
+    return {f"light.{index}": gradient for index, gradient in enumerate(found)}
+
+
 def test_gradients_are_those_of_a_batch_of_two(two, alone):
     rows, backgrounds = shown_first()
     found = held(two / "told", 2, 0)["gradients"]
     assert found.pop("rows") == rows
     objectives = [alone.objective(row, color) for row, color in zip(rows, backgrounds, strict=True)]
     (0.5 * (objectives[0][0] + objectives[1][0])).backward()
+    assert not any(name.startswith("light") for name in found)  # it learns from four frames at a time
+    found |= asked_of_the_light(alone, held(two / "told", 2, 0)["after"]["light.gradient"] / 2)
     for name in ("roughness_logits", "specular_logits"):
         getattr(alone.avatar.gaussians, name).grad[objectives[0][1]] = 0.0
     optimizer = make_optimizer(alone.avatar, alone.tracked)
@@ -206,16 +220,15 @@ def test_the_first_step_goes_as_far_as_the_rule_says(two):
     a frame has a row of its own, and not at all in the other rows."""
     told = held(two / "told", 2, 0)
     rows = told["gradients"]["rows"]
-    rate = learning_rate("light", step=0, steps=STEPS) * math.sqrt(2)
-    moved = 0
-    for index, name in enumerate(name for name in told["before"] if name.startswith("light.")):
-        gradient = told["gradients"][f"light.{index}"]
-        step = told["after"][name] - told["before"][name]
-        strong = gradient.abs() > 1e-9  # far above Adam's epsilon
-        moved += int(strong.sum())
-        # float32 of values of order 1
-        torch.testing.assert_close(step[strong], -rate * gradient.sign()[strong], rtol=1e-3, atol=3e-7)
-    assert moved > 100
+    rate = learning_rate("network", step=0, steps=STEPS) * math.sqrt(2)
+    network = [name for name in told["before"] if name.startswith("motion.") and "image" not in name]
+    name = "motion.residual.weight"  # the last layer alone has a gradient before it has a weight
+    gradient = told["gradients"][f"network.{network.index(name)}"]
+    step = told["after"][name] - told["before"][name]
+    strong = gradient.abs() > 1e-9  # far above Adam's epsilon
+    assert strong.sum() > 10
+    # float32 of values of order 1
+    torch.testing.assert_close(step[strong], -rate * gradient.sign()[strong], rtol=1e-3, atol=3e-7)
     rate = learning_rate("expression", step=0, steps=STEPS)
     step = told["after"]["tracked.expression"] - told["before"]["tracked.expression"]
     gradient = told["gradients"]["expression.0"]
@@ -226,11 +239,27 @@ def test_the_first_step_goes_as_far_as_the_rule_says(two):
     assert not step[others].any()
 
 
+def test_the_light_takes_one_step_for_four_frames(two):
+    """It rests at first, then its first step is the rate times root four, along the gradient's sign."""
+    first, second = held(two / "told", 2, 0), held(two / "told", 4, 0)
+    names = [name for name in first["before"] if name in ("light.diffuse", "light.specular")]
+    assert names
+    rate = learning_rate("light", step=2, steps=STEPS) * math.sqrt(4)
+    for index, name in enumerate(names):
+        assert torch.equal(first["before"][name], first["after"][name])
+        gradient = second["gradients"][f"light.{index}"]
+        step = second["after"][name] - second["before"][name]
+        strong = gradient.abs() > 1e-9
+        assert strong.sum() > 100
+        torch.testing.assert_close(step[strong], -rate * gradient.sign()[strong], rtol=1e-3, atol=3e-7)
+
+
 def test_rates_are_as_before_for_one_frame(alone):
     optimizer = make_optimizer(alone.avatar, alone.tracked)
-    set_rates(optimizer, step=2, steps=STEPS, frames=3)
+    set_rates(optimizer, step=2, steps=STEPS, frames=3, light_frames=4)
     shared = {group["name"]: group for group in optimizer.param_groups if "rows" not in group}
-    assert shared["light"]["betas"] == pytest.approx((0.9**3, 0.999**3))
+    assert shared["network"]["betas"] == pytest.approx((0.9**3, 0.999**3))
+    assert shared["light"]["betas"] == pytest.approx((0.9**4, 0.999**4))
     set_rates(optimizer, step=2, steps=STEPS)
     for group in optimizer.param_groups:
         assert group["lr"] == learning_rate(group["name"], step=2, steps=STEPS)
