@@ -7,6 +7,8 @@ from typing import NamedTuple
 import torch
 from torch import Tensor, nn
 
+from samira_warp.kernels.gathering.gather import GatherTable, gather
+
 TAPS = 9
 """Texels of a 3x3 neighbourhood, row by row."""
 
@@ -79,16 +81,13 @@ class RegionModulators(nn.Module):
         mix = self.mix.weight.view(count, channels, channels, TAPS).transpose(2, 3).flatten(2)
         mix_bias, out_bias = (part.get_parameter("bias").view(count, -1) for part in (self.mix, self.out))
         out = self.out.weight.view(count, channels, channels)
-        # rows are read whole: of a transposed view each would be gathered number by number
-        texels = features[0].flatten(1).T.contiguous().index_select(0, order.texels).split(order.counts)
+        texels = gather(features[0].flatten(1).T, order.texels).split(order.counts)
         own = torch.cat([rows @ w.T for rows, w in zip(texels, project, strict=True)])
-        beyond = features.new_zeros(1, channels)
-        around = torch.cat([own, beyond]).index_select(0, order.neighbours)
-        around = around.view(-1, TAPS * channels).split(order.counts)
+        around = gather(own, order.neighbours).view(-1, TAPS * channels).split(order.counts)
         mixed = [torch.addmm(b, rows, w.T) for rows, w, b in zip(around, mix, mix_bias, strict=True)]
         active = nn.functional.silu(torch.cat(mixed)).split(order.counts)
         made = [torch.addmm(b, rows, w.T) for rows, w, b in zip(active, out, out_bias, strict=True)]
-        whole = torch.cat([*made, beyond]).index_select(0, order.places)
+        whole = gather(torch.cat(made), order.places)
         return whole.T.reshape(1, channels, *features.shape[-2:])
 
     def _texels_by_region(self) -> _TexelOrder:
@@ -104,17 +103,17 @@ class _TexelOrder(NamedTuple):
     """The M texels that lie in a region, region by region.
 
     Attributes:
-        texels: (M,) int64 their numbers in the map.
         counts: How many each region has.
-        neighbours: (M TAPS,) int64 places in this order of those around each texel, itself among them; M for
-            one that is not in its region.
-        places: (H W,) int64 place of each of the map's texels in this order; M for one in no region.
+        texels: From the map's H W texels to these.
+        neighbours: From these to the M TAPS around them, itself among them; 0 for one that is not in a
+            texel's own region.
+        places: From these to the map's texels; 0 for one in no region.
     """
 
-    texels: Tensor
     counts: list[int]
-    neighbours: Tensor
-    places: Tensor
+    texels: GatherTable
+    neighbours: GatherTable
+    places: GatherTable
 
     @classmethod
     def of(cls, masks: Tensor) -> _TexelOrder:
@@ -132,7 +131,19 @@ class _TexelOrder(NamedTuple):
             [edged[:, y : y + height, x : x + width] for y in range(3) for x in range(3)], dim=-1
         )
         neighbours = torch.where(around[1] == regions[..., None], around[0], len(texels))
-        return cls(texels, counts, neighbours.flatten(0, 1)[texels].flatten(), places)
+        neighbours = neighbours.flatten(0, 1)[texels].flatten()
+        return cls(
+            counts,
+            _taken(texels, sources=height * width),
+            _taken(neighbours, sources=len(texels)),
+            _taken(places, sources=len(texels)),
+        )
+
+
+def _taken(places: Tensor, *, sources: int) -> GatherTable:
+    """The map that takes the row at each of some places (M,), and zeros beyond the last."""
+    there = places < sources
+    return GatherTable.build(places.where(there, 0)[:, None], there[:, None].float(), sources=sources)
 
 
 def _start_as_binomial(convolution: nn.Conv2d) -> None:

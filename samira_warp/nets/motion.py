@@ -13,6 +13,7 @@ from torch import Tensor, nn
 from samira_warp.nets.conditioning import AdaptiveInstanceNorm, Conditions
 from samira_warp.nets.fourier import fourier_channels, fourier_features
 from samira_warp.nets.modulation import RegionModulators
+from samira_warp.nets.resizing import resize
 
 RESIDUAL_CHANNELS = 6
 """Three of position o_mu and three of rotation o_r (Eq. offset_sample)."""
@@ -148,21 +149,13 @@ class MotionNetwork(nn.Module):
         fused = nn.functional.silu(self.fuse[coarsest](features))
         for level in reversed(finer):
             features = self._level_feature(level, position, conditions)
-            fused = nn.functional.silu(self.fuse[level](features + _resize(fused, features)))
-        return nn.functional.silu(self.shared(torch.cat([_resize(fused, position), position], dim=1)))
+            fused = nn.functional.silu(self.fuse[level](features + resize(fused, like=features)))
+        return nn.functional.silu(
+            self.shared(torch.cat([resize(fused, like=position), position], dim=1))
+        )
 
     def _level_feature(self, level: int, position: Tensor, conditions: Conditions) -> Tensor:
         """One level of the image's features, with the position let in and the condition applied."""
         image = self.lateral[level](getattr(self, f"image_features_{level}"))
-        injected = image + torch.sigmoid(self.gates[level]) * _resize(position, image)
+        injected = image + torch.sigmoid(self.gates[level]) * resize(position, like=image)
         return self.adain[level](injected, conditions[level])
-
-
-def _resize(features: Tensor, like: Tensor) -> Tensor:
-    """Bilinear, area-averaged where it shrinks: R_l of Eq. uv_gate."""
-    height, width = like.shape[-2:]
-    if features.shape[-2:] == (height, width):
-        return features
-    if features.shape[-1] > width:
-        return nn.functional.adaptive_avg_pool2d(features, (height, width))
-    return nn.functional.interpolate(features, size=(height, width), mode="bilinear", align_corners=False)

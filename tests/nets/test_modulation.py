@@ -1,3 +1,5 @@
+import copy
+
 import pytest
 import torch
 from torch.nn import functional
@@ -11,18 +13,22 @@ def disjoint_masks(generator):
     """Three disjoint masks with ragged borders; some texels are in none."""
     labels = torch.randint(0, REGIONS + 1, (SIZE, SIZE), generator=generator)
     labels[:, :6] = 1
-    return torch.stack([labels == k for k in range(REGIONS)]).double()
+    return torch.stack([labels == k for k in range(REGIONS)]).float()
 
 
 def modulators_of(masks, *, shared=False):
     torch.manual_seed(1)
-    modulators = RegionModulators(IN_CHANNELS, CHANNELS, masks=masks, shared=shared).double()
+    modulators = RegionModulators(IN_CHANNELS, CHANNELS, masks=masks, shared=shared)
     torch.nn.init.normal_(modulators.smooth.weight)
     return modulators
 
 
 def literal(modulators, features, masks):
-    """Eqs. region_modulation and region_feature as written: mask the input, run phi_k, mask, sum, smooth."""
+    """Eqs. region_modulation and region_feature as written: mask the input, run phi_k, mask, sum, smooth.
+
+    In float64.
+    """
+    modulators, features, masks = copy.deepcopy(modulators).double(), features.double(), masks.double()
     total = torch.zeros(1, CHANNELS, SIZE, SIZE, dtype=features.dtype)
     for k, mask in enumerate(masks):
         part = slice(0, CHANNELS) if modulators.shared else slice(k * CHANNELS, (k + 1) * CHANNELS)
@@ -41,33 +47,33 @@ def literal(modulators, features, masks):
 def test_grouped_convolutions_equal_one_masked_network_a_region(shared, device, generator):
     masks = disjoint_masks(generator)
     modulators = modulators_of(masks, shared=shared)
-    features = torch.randn(1, IN_CHANNELS, SIZE, SIZE, generator=generator, dtype=torch.float64)
+    features = torch.randn(1, IN_CHANNELS, SIZE, SIZE, generator=generator)
     expected = literal(modulators, features, masks)
-    torch.testing.assert_close(
-        modulators.to(device)(features.to(device)).cpu(), expected, atol=1e-12, rtol=1e-12
-    )
+    found = modulators.to(device)(features.to(device)).cpu()
+    # four layers of sums of some forty products of about 1, 2^-24 each
+    torch.testing.assert_close(found.double(), expected, atol=1e-5, rtol=1e-5)
 
 
 def test_all_regions_at_once_are_each_its_own(generator):
     """What a GPU computes and what a CPU does, with their gradients."""
     modulators = modulators_of(disjoint_masks(generator))
-    features = torch.randn(1, IN_CHANNELS, SIZE, SIZE, generator=generator, dtype=torch.float64)
+    features = torch.randn(1, IN_CHANNELS, SIZE, SIZE, generator=generator)
     features.requires_grad_()
-    weights = torch.randn(1, CHANNELS, SIZE, SIZE, generator=generator, dtype=torch.float64)
+    weights = torch.randn(1, CHANNELS, SIZE, SIZE, generator=generator)
     learned = [features, *(getattr(modulators, name).weight for name in ("project", "mix", "out"))]
     found = []
     for compute in (modulators._at_once, modulators._each_its_own):
         value = compute(features)
         found.append([value, *torch.autograd.grad(value, learned, weights)])
-    # sums of some hundred products of about 1 in float64
-    torch.testing.assert_close(*found, atol=1e-11, rtol=1e-11)
+    # sums over all texels of products of about 1, in other orders
+    torch.testing.assert_close(*found, atol=1e-4, rtol=1e-4)
 
 
 def test_a_region_sees_nothing_outside_its_mask(generator):
     masks = disjoint_masks(generator)
     modulators = modulators_of(masks)
     modulators.smooth = modulators.blend = torch.nn.Identity()
-    features = torch.randn(1, IN_CHANNELS, SIZE, SIZE, generator=generator, dtype=torch.float64)
+    features = torch.randn(1, IN_CHANNELS, SIZE, SIZE, generator=generator)
     before = modulators(features)
     for mask in masks:
         after = modulators(torch.where(mask > 0, features, torch.randn_like(features)))
@@ -80,7 +86,7 @@ def test_regions_have_modulators_of_their_own(generator):
     masks = disjoint_masks(generator)
     modulators = modulators_of(masks)
     modulators.smooth = modulators.blend = torch.nn.Identity()
-    features = torch.randn(1, IN_CHANNELS, SIZE, SIZE, generator=generator, dtype=torch.float64)
+    features = torch.randn(1, IN_CHANNELS, SIZE, SIZE, generator=generator)
     before = modulators(features)
     with torch.no_grad():
         modulators.mix.weight[CHANNELS : 2 * CHANNELS].normal_(generator=generator)
@@ -99,9 +105,8 @@ def test_smoothing_starts_as_a_low_pass(generator):
 
 
 def test_no_routing_is_one_modulator_on_everything(generator):
-    ones = torch.ones(1, SIZE, SIZE, dtype=torch.float64)
+    ones = torch.ones(1, SIZE, SIZE)
     modulators = modulators_of(ones)
-    features = torch.randn(1, IN_CHANNELS, SIZE, SIZE, generator=generator, dtype=torch.float64)
-    torch.testing.assert_close(
-        modulators(features), literal(modulators, features, ones), atol=1e-12, rtol=1e-12
-    )
+    features = torch.randn(1, IN_CHANNELS, SIZE, SIZE, generator=generator)
+    expected = literal(modulators, features, ones)
+    torch.testing.assert_close(modulators(features).double(), expected, atol=1e-5, rtol=1e-5)
