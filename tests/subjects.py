@@ -33,7 +33,16 @@ from samira_warp.train.__main__ import main as train_main  # noqa: E402
 from samira_warp.train.config import PRESETS, Preset, TrainConfig  # noqa: E402
 from samira_warp.train.initialize import initial_gaussians  # noqa: E402
 
-SMALL = Preset(resolution=32, uv_size=32, gaussians=300, gaussian_cap=400, width=8, region_width=4)
+SMALL = Preset(
+    resolution=32,
+    uv_size=32,
+    gaussians=300,
+    gaussian_cap=400,
+    width=8,
+    region_width=4,
+    epochs=10,
+    least_steps=1,
+)
 STEPS = 6
 
 

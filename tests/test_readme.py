@@ -52,7 +52,8 @@ SMALLER = """
 import functools, sys
 from samira_warp.train.config import PRESETS, Preset
 PRESETS["cpu"] = Preset(
-    resolution=64, uv_size=64, gaussians=3000, gaussian_cap=4000, width=8, region_width=4
+    resolution=64, uv_size=64, gaussians=3000, gaussian_cap=4000, width=8, region_width=4,
+    epochs=10, least_steps=1
 )
 if "render" in sys.orig_argv:
     from samira_warp.light import Environment

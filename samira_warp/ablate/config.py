@@ -47,7 +47,7 @@ class AblateConfig:
     seeds: int = 1
     """Runs of each variant, with the seeds 42, 43 and so on. With one, the spread over seeds is not known."""
     max_steps: Asked[int] = None
-    """Steps of each run; default 10 passes over the training frames."""
+    """Steps of each run; default the train verb's."""
     preset: Asked[PresetName] = None
     """Sizes: cpu (256 x 256, UV 128) or paper (512 x 512, UV 256); default cpu where there is no GPU."""
     device: DeviceName = "auto"

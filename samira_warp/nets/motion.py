@@ -150,9 +150,7 @@ class MotionNetwork(nn.Module):
         for level in reversed(finer):
             features = self._level_feature(level, position, conditions)
             fused = nn.functional.silu(self.fuse[level](features + resize(fused, like=features)))
-        return nn.functional.silu(
-            self.shared(torch.cat([resize(fused, like=position), position], dim=1))
-        )
+        return nn.functional.silu(self.shared(torch.cat([resize(fused, like=position), position], dim=1)))
 
     def _level_feature(self, level: int, position: Tensor, conditions: Conditions) -> Tensor:
         """One level of the image's features, with the position let in and the condition applied."""

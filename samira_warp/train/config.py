@@ -39,6 +39,8 @@ class Preset:
         gaussian_cap: Density control stops adding above this.
         width: Channels of the motion network's shared features.
         region_width: Channels of each region's features.
+        epochs: Passes over the training frames.
+        least_steps: A run has at least so many.
     """
 
     resolution: int
@@ -47,6 +49,12 @@ class Preset:
     gaussian_cap: int
     width: int
     region_width: int
+    epochs: int
+    least_steps: int
+
+    def steps(self, frames: int) -> int:
+        """Length of a run on so many training frames, where nothing else is asked for."""
+        return max(self.epochs * frames, self.least_steps)
 
 
 PRESETS: dict[PresetName, Preset] = {
@@ -57,6 +65,9 @@ PRESETS: dict[PresetName, Preset] = {
         gaussian_cap=40_000,
         width=24,
         region_width=8,
+        # of `ict_a`'s 300 frames these make what ten passes do (docs/measurements.md)
+        epochs=4,
+        least_steps=1_200,
     ),
     "paper": Preset(
         resolution=TRAINING_SIZES["paper"],
@@ -65,6 +76,8 @@ PRESETS: dict[PresetName, Preset] = {
         gaussian_cap=200_000,
         width=64,
         region_width=32,
+        epochs=10,
+        least_steps=1_200,
     ),
 }
 
@@ -97,11 +110,13 @@ class TrainConfig:
     preset: Asked[PresetName] = None
     """Sizes: cpu (256 x 256, UV 128) or paper (512 x 512, UV 256); default cpu where there is no GPU."""
     epochs: Asked[int] = None
-    """Passes over the training frames; default 10."""
+    """Passes over the training frames; default 4 with the cpu preset and 10 with the paper's, or as many as
+    1,200 steps take."""
     max_steps: Asked[int] = None
-    """Stop after so many steps; all schedules follow the steps that will be run. With --resume, more steps
-    (or epochs) than the run was to have extend it: from the step reached on, rates and density control are
-    those of a run of the new length, and what has begun by then, such as normals and LPIPS, stays on."""
+    """Length of the run in steps, or, with --epochs, where it stops at the latest; all schedules follow the
+    steps that will be run. With --resume, more steps (or epochs) than the run was to have extend it: from the
+    step reached on, rates and density control are those of a run of the new length, and what has begun by
+    then, such as normals and LPIPS, stays on."""
     resolution: Asked[int] = None
     """Image width and height in pixels; default the preset's."""
     device: Asked[DeviceName] = None

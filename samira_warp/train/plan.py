@@ -49,7 +49,7 @@ def make_plan(
     """
     frames = len(sequence.train)
     if begun is None or begun.checkpoint is None:
-        schedule = Schedule(min(settings.epochs * frames, settings.max_steps or settings.epochs * frames))
+        schedule = Schedule(settings.steps(frames))
     else:
         schedule = _extended(begun, config, frames=frames, out=settings.out)
     # image values that are shaded as they are cannot be held to measurements of linear reflectance

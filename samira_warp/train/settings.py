@@ -32,8 +32,8 @@ class Settings:
     """Every option of `TrainConfig` with its value; config.json keeps them.
 
     None is left where it is a value of its own: a ``flame`` of None is the dataset's own template,
-    ``max_steps`` of None leaves the length to ``epochs``, ``lpips_weights`` of None is wherever they are
-    usually kept.
+    ``epochs`` and ``max_steps`` of None leave the length to each other, and both to the preset;
+    ``lpips_weights`` of None is wherever they are usually kept.
     """
 
     data: Path
@@ -43,7 +43,7 @@ class Settings:
     resolution: int
     gaussians: int
     flame: Path | None = None
-    epochs: int = 10
+    epochs: int | None = None
     max_steps: int | None = None
     seed: int = 42
     split: str = "dataset"
@@ -64,6 +64,11 @@ class Settings:
     def sizes(self) -> Preset:
         """What the preset decides."""
         return PRESETS[self.preset]
+
+    def steps(self, frames: int) -> int:
+        """Length of a run on so many training frames."""
+        limits = [self.max_steps, None if self.epochs is None else self.epochs * frames]
+        return min((limit for limit in limits if limit is not None), default=self.sizes.steps(frames))
 
     @property
     def gaussian_cap(self) -> int:

@@ -282,6 +282,30 @@ def test_epochs_decide_the_steps_where_max_steps_does_not(tiny_dataset, tmp_path
     assert json.loads((tmp_path / "run" / "config.json").read_text())["steps"] == 4
 
 
+@pytest.mark.parametrize(
+    ("asked", "steps"),
+    [
+        ({}, 1200),  # four passes over 100 frames would be less
+        ({"epochs": 2}, 200),
+        ({"max_steps": 30}, 30),
+        ({"max_steps": 5000}, 5000),
+        ({"epochs": 2, "max_steps": 500}, 200),
+        ({"epochs": 9, "max_steps": 500}, 500),
+    ],
+)
+def test_the_length_is_what_is_asked_for_or_the_presets(tmp_path, asked, steps):
+    config = TrainConfig(data=tmp_path, out=tmp_path, preset="cpu", device="cpu", **asked)
+    assert resolve(config, data=tmp_path, out=tmp_path).steps(100) == steps
+
+
+def test_longer_films_get_four_passes_and_ten_with_the_papers_preset(tmp_path):
+    lengths = {}
+    for preset in ("cpu", "paper"):
+        config = TrainConfig(data=tmp_path, out=tmp_path, preset=preset, device="cpu")
+        lengths[preset] = resolve(config, data=tmp_path, out=tmp_path).steps(500)
+    assert lengths == {"cpu": 2000, "paper": 5000}
+
+
 def test_frames_without_a_matte_train_without_the_terms_that_need_one(tiny_dataset, tmp_path):
     dataset = shutil.copytree(tiny_dataset, tmp_path / "subject")
     shutil.rmtree(dataset / "fg_masks")
