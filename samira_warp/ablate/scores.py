@@ -11,7 +11,6 @@ from typing import Any
 from samira_warp.ablate.study import Run, Study
 from samira_warp.avatar import Avatar
 from samira_warp.data import PixelCache
-from samira_warp.evaluate import Lpips
 from samira_warp.evaluate.folders import labels_path, read_region_names
 from samira_warp.io.files import read_json, replace_file
 from samira_warp.support.errors import UserError
@@ -52,9 +51,9 @@ def _kept(run: Run, labels: str) -> dict[str, Any] | None:
 def _scored(run: Run, study: Study, pixels: PixelCache, labels: str) -> dict[str, Any]:
     print(f"scores of {run.folder} by region", file=sys.stderr)
     settings = run.plan.settings
-    lpips = study.lpips.to(settings.device) if isinstance(study.lpips, Lpips) else study.lpips
+    distances = study.distances.to(settings.device)
     avatar = Avatar.load(run.folder, device=settings.device)
-    result = score(avatar, study.sequence, pixels, plan=run.plan, lpips=lpips, regions=study.regions)
+    result = score(avatar, study.sequence, pixels, plan=run.plan, distances=distances, regions=study.regions)
     result["labels_hash"] = labels
     replace_file(run.folder / SCORES_FILE, json.dumps(result, indent=1))
     return result

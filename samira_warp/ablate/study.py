@@ -8,15 +8,15 @@ from pathlib import Path
 from samira_warp.ablate.config import FULL, AblateConfig, Variant
 from samira_warp.check.opening import open_checked
 from samira_warp.data import TrackedSequence
-from samira_warp.evaluate import Lpips, find_lpips
 from samira_warp.evaluate.folders import labels_path, read_region_names
 from samira_warp.io.files import check_writable
 from samira_warp.support.errors import UserError
 from samira_warp.train.begun import AVATAR_FOLDER, LENGTHS, Begun, check_same, find_begun, read_begun
 from samira_warp.train.config import TrainConfig
 from samira_warp.train.facts import run_facts
+from samira_warp.train.perceptual import PerceptualDistances
 from samira_warp.train.plan import TrainPlan, make_plan
-from samira_warp.train.run import RESULTS_FILE, TRAINING_LPIPS, at_its_sizes
+from samira_warp.train.run import RESULTS_FILE
 from samira_warp.train.settings import DEFAULTS, Settings, check_config, resolve
 
 LABELS = Path("gt", "parse")
@@ -71,13 +71,13 @@ class Study:
 
     Attributes:
         sequence: The dataset.
-        lpips: The perceptual distance at the size of the runs' images, or why there is none.
+        distances: The perceptual ones at the size of the runs' images.
         regions: Folder of label images of the test frames, None without regions.
         runs: Seed by seed, the full method first.
     """
 
     sequence: TrackedSequence
-    lpips: Lpips | str
+    distances: PerceptualDistances
     regions: Path | None
     runs: tuple[Run, ...]
 
@@ -102,7 +102,7 @@ def open_study(config: AblateConfig) -> Study:
     )
     check_config(asked)
     settings = resolve(asked, data=config.data, out=config.out)
-    lpips = find_lpips(TRAINING_LPIPS[settings.preset], settings.lpips_weights)
+    distances = PerceptualDistances.find(settings.preset, settings.lpips_weights)
     if config.out.exists() and not config.out.is_dir():
         raise UserError(config.out, expected="a folder", found="a file")
     check_writable(config.out)
@@ -114,7 +114,7 @@ def open_study(config: AblateConfig) -> Study:
         for number in range(config.seeds)
         for variant in variants
     )
-    study = Study(sequence, at_its_sizes(lpips, runs[0].plan), regions, runs)
+    study = Study(sequence, distances.at_sizes(runs[0].plan), regions, runs)
     for run in runs:
         _check_begun(run, study)
     return study
@@ -140,7 +140,7 @@ def _check_begun(run: Run, study: Study) -> None:
         return
     settings = run.plan.settings
     resolve(run.asked(resume=True), data=settings.data, out=run.folder, begun=begun.settings)
-    facts = run_facts(run.plan, study.sequence, perceptual=isinstance(study.lpips, Lpips))
+    facts = run_facts(run.plan, study.sequence, perceptual=study.distances.learned_from is not None)
     check_same(begun, facts, folder=run.folder, also=LENGTHS)
 
 

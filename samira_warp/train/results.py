@@ -13,10 +13,11 @@ import samira_warp
 from samira_warp.avatar import Avatar, DrivingFrame, write_frames
 from samira_warp.data import PixelCache, TrackedSequence
 from samira_warp.data.pixels import load_mask
-from samira_warp.evaluate import ImagePair, Lpips, evaluate_images
+from samira_warp.evaluate import ImagePair, evaluate_images
 from samira_warp.evaluate.folders import read_frame_labels, read_region_names
 from samira_warp.io.images import to_uint8
 from samira_warp.train.begun import AVATAR_FOLDER
+from samira_warp.train.perceptual import PerceptualDistances
 from samira_warp.train.plan import TrainPlan
 from samira_warp.train.settings import Settings
 from samira_warp.train.trainer import Trainer
@@ -42,7 +43,7 @@ def score(
     pixels: PixelCache,
     *,
     plan: TrainPlan,
-    lpips: Lpips | str,
+    distances: PerceptualDistances,
     regions: Path | None = None,
 ) -> dict[str, Any]:
     """Score the test frames in 8 bits against the truth, rendered with the parameters they came with.
@@ -52,7 +53,7 @@ def score(
         sequence: What it was trained on.
         pixels: The sequence's, at the run's resolution.
         plan: The run.
-        lpips: The distance, or why there is none.
+        distances: The perceptual ones.
         regions: Folder of label images, with their names: scores by region as well.
 
     Raises:
@@ -79,9 +80,10 @@ def score(
         **_sizes(plan),
         "bits": "8-bit predictions, box-resized truth",
         "parameters": "as tracked",
+        "lpips_training": distances.learned_from,
     }
     names = None if regions is None else read_region_names(regions)
-    return evaluate_images(pairs(), lpips=lpips, region_names=names, protocol=protocol)
+    return evaluate_images(pairs(), lpips=distances.scoring, region_names=names, protocol=protocol)
 
 
 def _sizes(plan: TrainPlan) -> dict[str, Any]:

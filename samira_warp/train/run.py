@@ -12,9 +12,7 @@ from typing import Any
 from samira_warp.avatar import Avatar
 from samira_warp.check.opening import open_checked
 from samira_warp.data import PixelCache, TrackedSequence
-from samira_warp.evaluate import Lpips, find_lpips
-from samira_warp.evaluate.config import LpipsNet
-from samira_warp.evaluate.lpips import SMALLEST_IMAGE
+from samira_warp.evaluate import Lpips
 from samira_warp.io.files import replace_file, replace_folder
 from samira_warp.train.announce import announce
 from samira_warp.train.begun import (
@@ -25,9 +23,10 @@ from samira_warp.train.begun import (
     find_begun,
     say_other_bits,
 )
-from samira_warp.train.config import PresetName, TrainConfig
+from samira_warp.train.config import TrainConfig
 from samira_warp.train.facts import run_facts
 from samira_warp.train.folder import claimed
+from samira_warp.train.perceptual import PerceptualDistances
 from samira_warp.train.plan import TrainPlan, check_size, make_plan
 from samira_warp.train.ranks import Ranks, joined
 from samira_warp.train.results import score, summary, write_result
@@ -35,9 +34,6 @@ from samira_warp.train.settings import LENGTH, Settings, check_config, resolve
 from samira_warp.train.setup import PIXEL_CACHE_BYTES, start
 from samira_warp.train.source import find_source
 from samira_warp.train.trainer import Trainer
-
-TRAINING_LPIPS: dict[PresetName, LpipsNet] = {"cpu": "alex", "paper": "vgg"}
-"""VGG at 256 x 256 is 120 GFLOP a step, too much for two cores."""
 
 RESULTS_FILE = "results.json"
 
@@ -74,45 +70,35 @@ def _name(data: Path | None) -> str:
     return data.stem if data.is_file() else data.resolve().name
 
 
-def at_its_sizes(lpips: Lpips | str, plan: TrainPlan) -> Lpips | str:
-    """The distance that a run learns from and is scored by, or why there is none.
-
-    Raises:
-        UserError: The run's images are too small for SSIM.
-    """
-    smallest = min(plan.sizes, key=min)
-    check_size(smallest, resolution=plan.settings.resolution)
-    return f"images are smaller than {SMALLEST_IMAGE} pixels" if min(smallest) < SMALLEST_IMAGE else lpips
-
-
 def _train(config: TrainConfig, out: Path, again: str, ranks: Ranks) -> Path | None:
     """The run, in its folder."""
     begun = ranks.by_first(lambda: find_begun(out, resume=config.resume))
     source = find_source(config.data, begun, out=out)
     settings = _settings(config, source.folder, out, begun, ranks)
     check_size((settings.resolution, settings.resolution), resolution=settings.resolution)
-    lpips = find_lpips(TRAINING_LPIPS[settings.preset], settings.lpips_weights)
+    distances = PerceptualDistances.find(settings.preset, settings.lpips_weights)
     if config.resume and (begun is None or begun.checkpoint is None):
         ranks.say(f"no checkpoint in {out} yet: starting from the beginning")
     if source.make is not None:
         ranks.by_first(source.make)
     sequence = open_checked(settings.data, split=settings.split, flame=settings.flame)
     plan = make_plan(settings, sequence, config, begun=begun)
-    lpips = at_its_sizes(lpips, plan)
-    facts = run_facts(plan, sequence, perceptual=isinstance(lpips, Lpips), ranks=ranks.count)
+    distances = distances.at_sizes(plan).to(settings.device)
+    perceptual = distances.learned_from is not None
+    facts = run_facts(plan, sequence, perceptual=perceptual, ranks=ranks.count)
     if begun is not None and begun.checkpoint is not None:
         check_same(begun, facts, folder=out)
     with PixelCache(sequence.frames, resolution=settings.resolution, max_bytes=PIXEL_CACHE_BYTES) as pixels:
         trainer, record = _at_its_beginning(plan, sequence, pixels, facts, begun, ranks)
-        if isinstance(lpips, Lpips):
-            trainer.perceptual = lpips.to(settings.device)
+        if isinstance(distances.training, Lpips):
+            trainer.perceptual = distances.training
         if ranks.first:
-            announce(plan, sequence, lpips, record["encoder"])
+            announce(plan, sequence, distances.training, record["encoder"])
             replace_file(out / CONFIG_FILE, json.dumps(record, indent=1))
         if not _run_to_its_end(trainer, record, again):
             return None
         if ranks.first:
-            _finish(trainer, lpips, record, again)
+            _finish(trainer, distances, record, again)
     return out
 
 
@@ -186,12 +172,14 @@ def _run_to_its_end(trainer: Trainer, record: dict[str, Any], again: str) -> boo
     return finished
 
 
-def _finish(trainer: Trainer, lpips: Lpips | str, record: dict[str, Any], again: str) -> None:
+def _finish(trainer: Trainer, distances: PerceptualDistances, record: dict[str, Any], again: str) -> None:
     """Write the avatar and score it: words on standard error, a JSON line of scores on standard output."""
     settings = trainer.plan.settings
     replace_folder(settings.out / AVATAR_FOLDER, lambda folder: write_result(folder, trainer, record))
     try:
-        results = score(trainer.avatar, trainer.sequence, trainer.pixels, plan=trainer.plan, lpips=lpips)
+        results = score(
+            trainer.avatar, trainer.sequence, trainer.pixels, plan=trainer.plan, distances=distances
+        )
     except KeyboardInterrupt:
         print(
             f"the avatar is in {settings.out / AVATAR_FOLDER}, not yet scored; {again} scores it",

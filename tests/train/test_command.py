@@ -116,6 +116,7 @@ def test_results_score_the_test_frames_and_name_the_protocol(tiny_run):
         assert results[name] == pytest.approx(mean)
     assert 10 < results["psnr"] < 40
     assert results["lpips"] is not None or results["lpips_reason"]
+    assert results["protocol"]["lpips_training"] in (None, "alex")
     assert results["protocol"]["size"] == [32, 32]
     assert "dataset" in results["protocol"]["split"]
     assert results["protocol"]["background"] == "white"
