@@ -22,6 +22,8 @@ from samira_warp.avatar.gbuffer import GBuffer
 from samira_warp.geometry.camera import Camera
 from samira_warp.geometry.mesh import face_areas
 from samira_warp.head import FrameParameters
+from samira_warp.kernels.gathering.grouping import group_by
+from samira_warp.kernels.gathering.sums import sum_groups
 from samira_warp.kernels.mesh.mesh_raster import rasterize_mesh
 from samira_warp.kernels.mesh.triangle_frames import triangle_frames
 from samira_warp.kernels.raster.rasterizer import blend_again
@@ -84,8 +86,10 @@ def look(avatar: Avatar, views: Iterable[tuple[FrameParameters, Camera]]) -> See
             gbuffer = avatar.rasterize(motion, camera)
             ids = _facing(avatar, motion, camera)
             inside = ids >= 0
-            shown += torch.bincount(ids[inside], minlength=count)
-            covered += torch.bincount(ids[inside], gbuffer.alpha[..., 0][inside], minlength=count)
+            # not `torch.bincount`: on a GPU it adds weights in any order
+            by_face = group_by(ids[inside], count)
+            shown += by_face.offsets.diff()
+            covered += sum_groups(gbuffer.alpha[inside][None], by_face)[0, :, 0]
         pixels += _shares(gbuffer, len(pixels))
     return Seen(pixels, shown > 0, covered / shown.clamp(min=1.0))
 
