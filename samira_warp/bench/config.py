@@ -25,5 +25,7 @@ class BenchConfig:
     """Print JSON instead of a table."""
     hdri: Path | None = None
     """light: also shade a sphere and a head under every map of this folder, against Monte Carlo (minutes)."""
+    count: bool = False
+    """train: count what a step launches and waits for, instead of its time."""
     film: Path | None = None
     """drive: a film of a face; default pictures of the built-in subject, whose dataset is made first."""
