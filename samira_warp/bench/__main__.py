@@ -14,6 +14,7 @@ from samira_warp.support.errors import UserError
 
 def main(config: BenchConfig) -> None:
     """Run one benchmark."""
+    from samira_warp.bench.gpu import pick_gpu
     from samira_warp.support.devices import pick_device
 
     if config.count and config.what != "train":
@@ -22,11 +23,14 @@ def main(config: BenchConfig) -> None:
         raise UserError("--hdri", expected="bench light", found=f"bench {config.what}")
     if config.film is not None and config.what != "drive":
         raise UserError("--film", expected="bench drive", found=f"bench {config.what}")
-    device = str(pick_device(config.device))
+    if config.data is not None and config.what != "gpu":
+        raise UserError("--data", expected="bench gpu", found=f"bench {config.what}")
+    device = str((pick_gpu if config.what == "gpu" else pick_device)(config.device))
     of_its_own: dict[str, dict[str, Any]] = {
         "light": {"hdri": config.hdri},
         "drive": {"film": config.film},
         "train": {"count_work": config.count},
+        "gpu": {"data": config.data},
     }
     options = of_its_own.get(config.what, {})
     importlib.import_module(f"samira_warp.bench.{config.what}").main(device, config.json, **options)
