@@ -147,13 +147,10 @@ def main(config: BuildsConfig) -> None:
         raise UserError("--data", expected="--steps beside it", found="none")
     with tempfile.TemporaryDirectory(prefix="builds-") as name:
         folder = Path(name)
-        with worktrees(config.repository, {"old": config.old, "new": config.new}, folder) as trees:
-            builds = [
-                make_build(
-                    revision, trees[side], folder / f"{side}_environment", reuse=config.reuse_environment
-                )
-                for side, revision in (("old", config.old), ("new", config.new))
-            ]
+        revisions = {"old": config.old, "new": config.new}
+        with worktrees(config.repository, revisions, folder) as trees:
+            own = None if config.reuse_environment else folder
+            builds = [make_build(name, trees[side], own) for side, name in revisions.items()]
             found = {}
             for says, warm_up, job in jobs(config):
                 found[says] = in_turns(builds, warm_up, job, rounds=config.rounds, scratch=folder, says=says)
