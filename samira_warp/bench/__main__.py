@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import sys
 from collections.abc import Sequence
+from typing import Any
 
 from samira_warp.bench.config import BenchConfig
 from samira_warp.support.cli import run
@@ -13,14 +14,24 @@ from samira_warp.support.errors import UserError
 
 def main(config: BenchConfig) -> None:
     """Run one benchmark."""
+    from samira_warp.bench.gpu import pick_gpu
     from samira_warp.support.devices import pick_device
 
+    if config.count and config.what != "train":
+        raise UserError("--count", expected="bench train", found=f"bench {config.what}")
     if config.hdri is not None and config.what != "light":
         raise UserError("--hdri", expected="bench light", found=f"bench {config.what}")
     if config.film is not None and config.what != "drive":
         raise UserError("--film", expected="bench drive", found=f"bench {config.what}")
-    device = str(pick_device(config.device))
-    of_its_own = {"light": {"hdri": config.hdri}, "drive": {"film": config.film}}
+    if config.data is not None and config.what != "gpu":
+        raise UserError("--data", expected="bench gpu", found=f"bench {config.what}")
+    device = str((pick_gpu if config.what == "gpu" else pick_device)(config.device))
+    of_its_own: dict[str, dict[str, Any]] = {
+        "light": {"hdri": config.hdri},
+        "drive": {"film": config.film},
+        "train": {"count_work": config.count},
+        "gpu": {"data": config.data},
+    }
     options = of_its_own.get(config.what, {})
     importlib.import_module(f"samira_warp.bench.{config.what}").main(device, config.json, **options)
 

@@ -15,6 +15,7 @@ from samira_warp.bench.timing import Stopwatch, hardware, print_table, repeat
 from samira_warp.geometry.camera import Camera
 from samira_warp.head import FrameParameters
 from samira_warp.light import Environment
+from samira_warp.train.config import PresetName
 
 SIZES = (256, 512)
 STAGES = ("light", "motion", "occlusion", "raster", "shading", "total")
@@ -53,12 +54,13 @@ SCENARIOS = (
 
 
 @torch.no_grad()
-def measure(device: torch.device, *, size: int) -> list[dict[str, object]]:
-    """Median milliseconds of a frame of the cpu preset's avatar, a row for every scenario.
+def measure(device: torch.device, *, size: int, preset: PresetName = "cpu") -> list[dict[str, object]]:
+    """Median milliseconds of a frame of a preset's avatar, a row for every scenario.
 
-    It has 20,000 Gaussians; what is cached takes 0. The total is of whole frames, from their parameters on.
+    That of the cpu preset has 20,000 Gaussians; what is cached takes 0. The total is of whole frames, from
+    their parameters on.
     """
-    avatar, camera = make_avatar("cpu", device=device), make_camera(size).to(device)
+    avatar, camera = make_avatar(preset, device=device), make_camera(size).to(device)
     rows = []
     for scenario in SCENARIOS:
         stopwatch = Stopwatch(device)

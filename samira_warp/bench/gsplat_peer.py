@@ -5,7 +5,6 @@ from __future__ import annotations
 import functools
 import importlib
 import importlib.util
-import sys
 from types import ModuleType
 from typing import NamedTuple
 
@@ -13,6 +12,7 @@ import torch
 from torch import Tensor
 
 from samira_warp.bench.disc import Disc
+from samira_warp.bench.peer import FAILURES, say_left_out
 from samira_warp.bench.timing import least_ms
 
 REPEATS = 20
@@ -41,8 +41,8 @@ def gsplat_times(disc: Disc, channels: int) -> GsplatTimes | None:
     try:
         gsplat = _gsplat()
         return None if gsplat is None else _measure(gsplat, disc, channels)
-    except (AssertionError, AttributeError, ImportError, KeyError, OSError, RuntimeError, TypeError) as error:
-        print(f"gsplat left out: {type(error).__name__} {' '.join(str(error).split())}", file=sys.stderr)
+    except FAILURES as error:
+        say_left_out("gsplat", error)
         return None
 
 

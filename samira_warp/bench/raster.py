@@ -267,15 +267,20 @@ def stage_times(disc: Disc, channels: int) -> StageTimes:
 
 def dispatch_times(device: torch.device) -> Times:
     """Time the whole operator on one Gaussian in an image of one tile: next to nothing to compute."""
-    disc = make_disc(1, TILE, device)
-    leaves, grad_image = _wanting_gradients(disc.raster_inputs(3)), disc.image_gradients(3)
+    return whole_times(make_disc(1, TILE, device), 3, repeats=DISPATCH_REPEATS)
+
+
+def whole_times(disc: Disc, channels: int, *, repeats: int = REPEATS) -> Times:
+    """Time the whole operator, with what its backward pass wants, and its adjoint by all five inputs."""
+    device = disc.means.device
+    leaves, grad_image = _wanting_gradients(disc.raster_inputs(channels)), disc.image_gradients(channels)
     found = rasterize(*leaves, disc.camera)
     return Times(
-        least_ms(lambda: rasterize(*leaves, disc.camera), device, repeats=DISPATCH_REPEATS),
+        least_ms(lambda: rasterize(*leaves, disc.camera), device, repeats=repeats),
         least_ms(
             lambda: torch.autograd.grad((found.features, found.alpha), leaves, grad_image, retain_graph=True),
             device,
-            repeats=DISPATCH_REPEATS,
+            repeats=repeats,
         ),
     )
 

@@ -28,6 +28,9 @@ class Command:
 
     Warp checks a parameter's first tensor in full; later ones of the same layout only need their address,
     shape and strides. No tensor is held on to: the caller keeps a launch's arguments until it has run.
+
+    Attributes:
+        kernel: What is launched.
     """
 
     def __init__(self, kernel: wp.Kernel, device: torch.device, block_dim: int | None) -> None:
@@ -38,7 +41,7 @@ class Command:
             "device": str(device),
             **({} if block_dim is None else {"block_dim": block_dim}),
         }
-        self._kernel, self._device = kernel, device
+        self.kernel, self._device = kernel, device
         # the recorded launch, from the first arguments on
         self._launch: Any = None
         self._dim: int | tuple[int, ...] = 1
@@ -47,7 +50,7 @@ class Command:
         """Arguments as the launch takes them: array descriptors for tensors, other values as they are."""
         if len(arguments) != len(self._parameters):
             raise TypeError(
-                f"{self._kernel.key} takes {len(self._parameters)} arguments, not {len(arguments)}"
+                f"{self.kernel.key} takes {len(self._parameters)} arguments, not {len(arguments)}"
             )
         return [
             self._describe(index, argument) if isinstance(argument, Tensor) else argument
@@ -60,7 +63,7 @@ class Command:
             # later arguments are written into these very objects, which therefore have to be the command's
             # own
             own = [copy.copy(value) if isinstance(value, ctypes.Array) else value for value in described]
-            self._launch = wp.launch(self._kernel, self._dim, inputs=own, record_cmd=True, **self._options)
+            self._launch = wp.launch(self.kernel, self._dim, inputs=own, record_cmd=True, **self._options)
             return
         for index, value in enumerate(described):
             self._launch.set_param_at_index_from_ctype(index, value)
