@@ -17,19 +17,19 @@ from samira_warp.data.frames import FrameFiles
 from samira_warp.data.pixels import FramePixels, load_pixels
 
 MOST_DECODERS = 4
-"""Threads that fetch ahead, at most: each holds a whole decoded picture. As many as torch computes with, where
-those are fewer."""
+"""Threads that fetch ahead, at most: each holds a whole decoded picture. As many as torch computes with,
+where those are fewer."""
 
 FASTEST = 1
-"""zlib's level: a training frame of 256 pixels is a fourth of its 16 bits in 12 ms, and whole again in 3 ms. Higher
-levels gain a tenth for three times the time."""
+"""zlib's level: a training frame of 256 pixels is a fourth of its 16 bits in 12 ms, and whole again in 3 ms.
+Higher levels gain a tenth for three times the time."""
 
 
 class _Kept(NamedTuple):
     """A frame in 16 bits a value, deflated plane by plane.
 
-    8-bit sources are kept exactly, their averages to 1/65535. Skin and hair deflate to a half, and white round a
-    head to nothing.
+    8-bit sources are kept exactly, their averages to 1/65535. Skin and hair deflate to two thirds, and white
+    round a head to nothing.
     """
 
     deflated: bytes
@@ -46,15 +46,15 @@ class _Fetched(NamedTuple):
 class PixelCache:
     """The pixels of a sequence at one resolution; those that do not fit in a budget are decoded again.
 
-    The first frames that fit stay. Every epoch shows all frames, in another order: whichever share fits is found
-    each time. To drop the frame that was not shown for longest, and keep the one just shown, finds less: of a
-    half that fits a sixth.
+    The first frames that fit stay. Every epoch shows all frames, in another order: whichever share fits is
+    found each time. To drop the frame that was not shown for longest, and keep the one just shown, finds
+    less: a sixth of all where a half fits.
 
     Every frame keeps the shape of its own camera: ``frame.camera.with_longer_side(resolution)`` is the view
     of its pixels.
 
-    A frame has the same bits whether it was kept, fetched ahead or just decoded, and by whichever thread. Use as
-    a context manager, or call ``close``.
+    A frame has the same bits whether it was kept, fetched ahead or just decoded, and by whichever thread. Use
+    as a context manager, or call ``close``.
 
     Args:
         frames: What ``index`` counts.

@@ -17,9 +17,9 @@ def keep_freed_memory() -> None:
 
     Else it gives it back to the system at once. Every step and frame asks for the same megabytes again, and
     each page that comes back from the system costs a page fault: a quarter of the time of projection and
-    binning at 50,000 Gaussians. Threads share one heap: else each that decodes a picture would keep as much as
-    that took, for itself alone. For a process of our own only, since it holds for all of it; where there is no
-    glibc, nothing happens.
+    binning at 50,000 Gaussians. Threads share one heap: else each that decodes a picture would keep as much
+    as that took, for itself alone. For a process of our own only, since it holds for all of it; where there
+    is no glibc, nothing happens.
     """
     if not sys.platform.startswith("linux"):
         return

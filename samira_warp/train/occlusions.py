@@ -23,8 +23,8 @@ by a tenth of that; at two centimetres, a nose's height, it turns the edge of a 
 third of the sky's step."""
 
 KEPT_BYTES = 1 << 28
-"""Of what was traced: some 1,700 frames of a head of 5,300 vertices, on a CPU. The first frames that fit stay;
-the others are traced again, from the same parameters, whenever they are shown."""
+"""Of what was traced: some 1,700 frames of a head of 5,300 vertices, on a CPU. The first frames that fit
+stay; the others are traced again, from the same parameters, whenever they are shown."""
 
 _TRACED_WITH = ("translation", "rotations", "expression")
 """Parameters of a frame that pose its mesh."""

@@ -58,10 +58,9 @@ def _prepared(video: Path, folder: Path) -> Source:
     """The dataset of a video: what of it is made, by an earlier run that was stopped, is not made again."""
 
     def make() -> None:
+        # with decoders of videos: 20 MB that a run on a dataset has no use for
         from samira_warp.prepare.config import PrepareConfig
-        from samira_warp.prepare.run import (
-            prepare,
-        )  # decoders of videos, 20 MB that most runs have no use for
+        from samira_warp.prepare.run import prepare
 
         try:
             prepare(PrepareConfig(video=video, out=folder))

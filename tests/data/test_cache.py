@@ -170,7 +170,8 @@ def test_pinned_pixels_are_the_same_on_a_gpu(frames):
         pinned.prefetch(range(6))
         for index in range(6):
             found = pinned[index]
-            assert found.image.is_pinned() and found.mask.is_pinned()
+            assert found.image.is_pinned()
+            assert found.mask.is_pinned()
             there = found.to("cuda")
             del found  # its memory waits for the copy
             assert equal(there.to("cpu"), plain[index])
