@@ -101,6 +101,11 @@ class PixelCache:
         """Of the frames that are kept."""
         return self._kept_bytes
 
+    @property
+    def full(self) -> bool:
+        """Whether a frame did not fit; then none is kept any more."""
+        return self._full
+
     def prefetch(self, indices: Iterable[int]) -> None:
         """Start fetching frames that will be asked for soon.
 

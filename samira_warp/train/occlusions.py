@@ -75,11 +75,13 @@ class FrameOcclusions:
         translation: (T, 3) the parameters that it was traced with.
         rotations: (T, J, 3) likewise.
         expression: (T, E) likewise.
+        full: Whether a frame did not fit into what is kept.
     """
 
     def __init__(self, canonical: CanonicalHead, occluder: Occluder, tracked: TrackedParameters) -> None:
         self._canonical, self._occluder = canonical, occluder
         self._kept: dict[int, _Folded] = {}
+        self.full = False
         self.traced = torch.zeros(len(tracked.translation), dtype=torch.bool)
         self.translation, self.rotations, self.expression = (
             values.detach().clone() for values in (tracked.translation, tracked.rotations, tracked.expression)
@@ -150,6 +152,8 @@ class FrameOcclusions:
         folded = _Folded.of(occlusion)
         if self.kept_bytes + folded.bytes <= KEPT_BYTES:
             self._kept[row] = folded
+        else:
+            self.full = True
         return occlusion
 
 

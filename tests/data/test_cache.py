@@ -89,6 +89,7 @@ def test_the_first_that_fit_stay(frames, decoded):
         ask(pixels, 0, 1, 2)
         ask(pixels, 2, 1, 0, 2)
         assert pixels.kept_bytes == budget
+        assert pixels.full
     assert decoded == [0, 1, 2, 2, 2]
 
 

@@ -103,6 +103,7 @@ def test_the_first_that_fit_stay(case, monkeypatch):
         shown(avatar, occlusions, row, frames[row])
         assert occlusions.kept_bytes <= budget
     assert counted.count == 4
+    assert occlusions.full
 
 
 def test_what_is_kept_comes_back_to_the_bit_in_less_memory(case):
