@@ -1,4 +1,4 @@
-"""``samira-warp bench WHAT``, or ``python -m samira_warp.bench``: where the time goes."""
+"""``samira-warp bench WHAT``, or ``python -m samira_warp.bench``: where time and memory go."""
 
 from __future__ import annotations
 
@@ -23,14 +23,15 @@ def main(config: BenchConfig) -> None:
         raise UserError("--hdri", expected="bench light", found=f"bench {config.what}")
     if config.film is not None and config.what != "drive":
         raise UserError("--film", expected="bench drive", found=f"bench {config.what}")
-    if config.data is not None and config.what != "gpu":
-        raise UserError("--data", expected="bench gpu", found=f"bench {config.what}")
+    if config.data is not None and config.what not in ("gpu", "memory"):
+        raise UserError("--data", expected="bench gpu or bench memory", found=f"bench {config.what}")
     device = str((pick_gpu if config.what == "gpu" else pick_device)(config.device))
     of_its_own: dict[str, dict[str, Any]] = {
         "light": {"hdri": config.hdri},
         "drive": {"film": config.film},
         "train": {"count_work": config.count},
         "gpu": {"data": config.data},
+        "memory": {"data": config.data},
     }
     options = of_its_own.get(config.what, {})
     importlib.import_module(f"samira_warp.bench.{config.what}").main(device, config.json, **options)

@@ -13,15 +13,15 @@ from samira_warp.support.device_names import DeviceName
 
 @dataclass(frozen=True)
 class BenchConfig:
-    """Time a part of the package on this machine."""
+    """Measure a part of the package on this machine: its time, or its memory."""
 
     what: Positional[
-        Literal["raster", "mesh", "visibility", "light", "avatar", "view", "drive", "train", "gpu"]
+        Literal["raster", "mesh", "visibility", "light", "avatar", "view", "drive", "train", "memory", "gpu"]
     ]
     """raster: kernels against plain ones or, on a GPU, gsplat; mesh: the rasteriser of meshes; visibility:
     what a head blocks of its own directions; light: filtering; avatar: a frame, train: a step, by stage;
-    view: a picture of the viewer; drive: from a picture of a face to the avatar's; gpu: all that wants a GPU,
-    its tests too, in eight minutes."""
+    view: a picture of the viewer; drive: from a picture of a face to the avatar's; memory: what a training
+    takes of it, by stage; gpu: all that wants a GPU, its tests too, in eight minutes."""
     device: DeviceName = "auto"
     """Where to compute: cpu, cuda, cuda:N, or auto, a GPU where there is one."""
     json: bool = False
@@ -33,4 +33,4 @@ class BenchConfig:
     film: Path | None = None
     """drive: a film of a face; default pictures of the built-in subject, whose dataset is made first."""
     data: Path | None = None
-    """gpu: the dataset of its training; default the built-in subject, which is made first."""
+    """gpu, memory: the dataset to train on; default the built-in subject's, which is made first."""

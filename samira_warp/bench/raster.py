@@ -17,9 +17,9 @@ from typing import Any, NamedTuple, TypeVar
 import torch
 from torch import Tensor
 
+from samira_warp.bench.allocations import peak_bytes
 from samira_warp.bench.disc import Disc, RasterInputs, make_disc
 from samira_warp.bench.gsplat_peer import GsplatTimes, gsplat_times
-from samira_warp.bench.memory import peak_bytes
 from samira_warp.bench.timing import hardware, least_ms
 from samira_warp.kernels.plain import blending as blending_plain
 from samira_warp.kernels.raster.blending import Blended, blend

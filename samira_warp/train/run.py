@@ -88,7 +88,12 @@ def _train(config: TrainConfig, out: Path, again: str, ranks: Ranks) -> Path | N
     facts = run_facts(plan, sequence, perceptual=perceptual, ranks=ranks.count)
     if begun is not None and begun.checkpoint is not None:
         check_same(begun, facts, folder=out)
-    with PixelCache(sequence.frames, resolution=settings.resolution, max_bytes=PIXEL_CACHE_BYTES) as pixels:
+    with PixelCache(
+        sequence.frames,
+        resolution=settings.resolution,
+        max_bytes=PIXEL_CACHE_BYTES,
+        pinned=settings.device.startswith("cuda"),
+    ) as pixels:
         trainer, record = _at_its_beginning(plan, sequence, pixels, facts, begun, ranks)
         if isinstance(distances.training, Lpips):
             trainer.perceptual = distances.training

@@ -8,8 +8,6 @@ from pathlib import Path
 from typing import NamedTuple
 
 from samira_warp.data.subjects import made_subject
-from samira_warp.prepare.config import PrepareConfig
-from samira_warp.prepare.run import prepare
 from samira_warp.train.begun import Begun
 
 PREPARED_FOLDER = "prepared"
@@ -60,6 +58,10 @@ def _prepared(video: Path, folder: Path) -> Source:
     """The dataset of a video: what of it is made, by an earlier run that was stopped, is not made again."""
 
     def make() -> None:
+        # with decoders of videos: 20 MB that a run on a dataset has no use for
+        from samira_warp.prepare.config import PrepareConfig
+        from samira_warp.prepare.run import prepare
+
         try:
             prepare(PrepareConfig(video=video, out=folder))
         except KeyboardInterrupt:

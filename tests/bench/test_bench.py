@@ -6,8 +6,8 @@ import pytest
 import torch
 
 from samira_warp.bench import avatar, drive, embree_peer, gsplat_peer, mesh, raster, timing, view, visibility
+from samira_warp.bench.allocations import peak_bytes
 from samira_warp.bench.disc import make_disc
-from samira_warp.bench.memory import peak_bytes
 from samira_warp.bench.subject import make_avatar, make_camera, make_parameters, make_template
 from samira_warp.drive.arkit import SHAPES
 from samira_warp.kernels.raster.projection import project

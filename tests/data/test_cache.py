@@ -75,28 +75,49 @@ def test_a_frame_is_decoded_once_within_the_budget(frames, decoded):
     assert decoded == list(range(6))
 
 
-def test_the_least_recently_used_goes_first(frames, decoded):
-    with PixelCache(frames, resolution=32, max_bytes=2 * WITH_ALBEDO) as pixels:
-        ask(pixels, 0, 1, 0, 2)  # 1 goes
-        ask(pixels, 0, 2, 1)  # 0 goes
-        ask(pixels, 2, 1, 0)
-    assert decoded == [0, 1, 2, 1, 0]
+def bytes_of(frames, *indices):
+    """What the cache counts for these frames."""
+    with PixelCache(frames, resolution=32) as pixels:
+        ask(pixels, *indices)
+        return pixels.kept_bytes
 
 
-def test_the_budget_counts_bytes(frames, decoded):
-    """Three frames without an albedo take less than two with one: the budget is of bytes, not of frames."""
-    assert 2 * WITHOUT <= 2 * WITH_ALBEDO < 3 * WITHOUT + WITH_ALBEDO
-    with PixelCache(frames, resolution=32, max_bytes=WITH_ALBEDO + WITHOUT) as pixels:
-        ask(pixels, 0, 4, 0, 4)
-        assert decoded == [0, 4]
-        ask(pixels, 5, 4)  # 0, the oldest, is enough to go
-    assert decoded == [0, 4, 5]
+def test_the_first_that_fit_stay(frames, decoded):
+    budget = bytes_of(frames, 0, 1)
+    decoded.clear()
+    with PixelCache(frames, resolution=32, max_bytes=budget) as pixels:
+        ask(pixels, 0, 1, 2)
+        ask(pixels, 2, 1, 0, 2)
+        assert pixels.kept_bytes == budget
+        assert pixels.full
+    assert decoded == [0, 1, 2, 2, 2]
+
+
+def test_what_is_kept_follows_the_order_of_asking(frames, decoded, use_threads):
+    """Threads may be done in any order: what stays is the same."""
+    use_threads(4)
+    budget = bytes_of(frames, 5, 3)
+    decoded.clear()
+    with PixelCache(frames, resolution=32, max_bytes=budget) as pixels:
+        pixels.prefetch(range(6))
+        ask(pixels, 5, 3, 0, 1, 2, 4)
+        assert sorted(decoded) == list(range(6))
+        ask(pixels, 5, 3)
+        assert len(decoded) == 6
+        ask(pixels, 0)
+    assert decoded[6:] == [0]
+
+
+def test_a_kept_frame_takes_less_than_its_sixteen_bits(frames):
+    assert 0 < bytes_of(frames, 0) < WITH_ALBEDO
+    assert 0 < bytes_of(frames, 5) < WITHOUT
 
 
 def test_a_frame_larger_than_the_budget_is_decoded_each_time(frames, decoded):
-    with PixelCache(frames, resolution=32, max_bytes=WITHOUT) as pixels:
+    with PixelCache(frames, resolution=32, max_bytes=10) as pixels:
         ask(pixels, 4, 0, 0, 4)
-    assert decoded == [4, 0, 0]
+        assert pixels.kept_bytes == 0
+    assert decoded == [4, 0, 0, 4]
 
 
 def test_no_budget_keeps_nothing_and_still_answers(frames, decoded):
@@ -106,14 +127,15 @@ def test_no_budget_keeps_nothing_and_still_answers(frames, decoded):
     assert equal(first, second)
 
 
-def test_content_does_not_depend_on_how_a_frame_came(frames):
-    """Just decoded, kept, fetched ahead, and decoded again after it was dropped: the same bits."""
+def test_content_does_not_depend_on_how_a_frame_came(frames, use_threads):
+    """Just decoded, kept, fetched ahead by any of several threads, and decoded again: the same bits."""
+    use_threads(3)
     with (
         PixelCache(frames, resolution=20) as plain,
-        PixelCache(frames, resolution=20, max_bytes=WITH_ALBEDO) as pressed,
+        PixelCache(frames, resolution=20, max_bytes=bytes_of(frames, 3)) as pressed,
     ):
-        pressed.prefetch(range(6))
         for order in ((3, 0, 5, 1, 4, 2), (2, 2, 0, 5)):
+            pressed.prefetch(order)
             for index in order:
                 assert equal(plain[index], plain[index])
                 assert equal(plain[index], pressed[index])
@@ -124,6 +146,36 @@ def test_results_are_the_callers_own(frames):
         before = pixels[0].image.clone()
         pixels[0].image.zero_()
         assert torch.equal(pixels[0].image, before)
+        for _ in range(2):
+            pixels.prefetch([0])
+            ahead = pixels[0].image
+            assert torch.equal(ahead, before)
+            ahead.zero_()
+
+
+@pytest.mark.parametrize("index", [0, 5])
+def test_pixels_are_laid_out_row_by_row(frames, index):
+    with PixelCache(frames, resolution=32) as pixels:
+        found = pixels[index]
+    assert all(values is None or values.is_contiguous() for values in vars(found).values())
+
+
+@pytest.mark.gpu
+def test_pinned_pixels_are_the_same_on_a_gpu(frames):
+    if not torch.cuda.is_available():
+        pytest.skip("no CUDA device on this machine")
+    with (
+        PixelCache(frames, resolution=20) as plain,
+        PixelCache(frames, resolution=20, pinned=True) as pinned,
+    ):
+        pinned.prefetch(range(6))
+        for index in range(6):
+            found = pinned[index]
+            assert found.image.is_pinned()
+            assert found.mask.is_pinned()
+            there = found.to("cuda")
+            del found  # its memory waits for the copy
+            assert equal(there.to("cpu"), plain[index])
 
 
 def test_frames_fetched_ahead_are_decoded_once(frames, decoded):
@@ -133,6 +185,21 @@ def test_frames_fetched_ahead_are_decoded_once(frames, decoded):
         pixels.prefetch([2, 1, 3])
         ask(pixels, 1, 2, 3, 0)
         assert decoded == [0, 1, 2, 3]
+
+
+def test_several_threads_decode_at_once(frames, monkeypatch, use_threads):
+    """Each of three waits for the other two."""
+    use_threads(3)
+    together = threading.Barrier(3)
+
+    def load(frame, **size):
+        together.wait(10)
+        return load_pixels(frame, **size)
+
+    monkeypatch.setattr(cache, "load_pixels", load)
+    with PixelCache(frames, resolution=32) as pixels:
+        pixels.prefetch(range(3))
+        ask(pixels, 2, 0, 1)
 
 
 def test_fetching_ahead_runs_beside_the_caller(frames, monkeypatch):
@@ -151,7 +218,8 @@ def test_fetching_ahead_runs_beside_the_caller(frames, monkeypatch):
     assert threads[1] is threading.main_thread()
 
 
-def test_closing_ends_the_thread_and_drops_what_waits(frames, monkeypatch):
+def test_closing_ends_the_threads_and_drops_what_waits(frames, monkeypatch, use_threads):
+    use_threads(1)
     started, go, names = threading.Event(), threading.Event(), []
 
     def load(frame, **size):

@@ -76,6 +76,44 @@ def test_what_does_not_fit_is_traced_again_from_the_same_parameters(case, monkey
     avatar, frames, counted, occlusions = case
     monkeypatch.setattr(module, "KEPT_BYTES", 1)
     first = [shown(avatar, occlusions, row, frame).bits for row, frame in enumerate(frames)]
-    again = [shown(avatar, occlusions, row, frame).bits for row, frame in enumerate(frames)]
+    assert occlusions.kept_bytes == 0
+    slightly = [replace(frame, expression=frame.expression + 1e-5) for frame in frames]
+    again = [shown(avatar, occlusions, row, frame).bits for row, frame in enumerate(slightly)]
     assert all(torch.equal(one, other) for one, other in zip(first, again, strict=True))
     assert counted.count == 6
+
+
+def test_what_does_not_fit_and_moved_is_traced_once(case, monkeypatch):
+    avatar, frames, counted, occlusions = case
+    monkeypatch.setattr(module, "KEPT_BYTES", 1)
+    shown(avatar, occlusions, 0, frames[0])
+    far = replace(frames[0], expression=frames[0].expression + 1.0)
+    found = shown(avatar, occlusions, 0, far)
+    assert counted.count == 2
+    assert torch.equal(found.bits, avatar.occluder.occlude(avatar.canonical.pose(far)).bits)
+
+
+def test_the_first_that_fit_stay(case, monkeypatch):
+    """Two of three frames: the third is traced whenever it is shown, and what is kept stays in the budget."""
+    avatar, frames, counted, occlusions = case
+    shown(avatar, occlusions, 0, frames[0])
+    budget = int(2.5 * occlusions.kept_bytes)
+    monkeypatch.setattr(module, "KEPT_BYTES", budget)
+    for row in (1, 2, 0, 1, 2):
+        shown(avatar, occlusions, row, frames[row])
+        assert occlusions.kept_bytes <= budget
+    assert counted.count == 4
+    assert occlusions.full
+
+
+def test_what_is_kept_comes_back_to_the_bit_in_less_memory(case):
+    """Bits are deflated and normals left out."""
+    avatar, frames, counted, occlusions = case
+    traced = shown(avatar, occlusions, 1, frames[1])
+    assert 0 < occlusions.kept_bytes <= traced.bytes - traced.normals.nbytes
+    kept = shown(avatar, occlusions, 1, frames[1])
+    assert counted.count == 1
+    for name in ("bits", "points", "normals", "openness", "transform"):
+        one, other = getattr(traced, name), getattr(kept, name)
+        assert one.dtype == other.dtype, name
+        assert torch.equal(one, other), name
