@@ -15,11 +15,11 @@ from samira_warp.bench.resident import forget_peak, resident
 from samira_warp.bench.timing import hardware, print_table
 from samira_warp.check.opening import open_checked
 from samira_warp.data import PixelCache, TrackedSequence, made_subject
-from samira_warp.evaluate import Lpips, find_lpips
+from samira_warp.evaluate import Lpips
 from samira_warp.train.config import TrainConfig
+from samira_warp.train.perceptual import PerceptualDistances
 from samira_warp.train.plan import TrainPlan, make_plan
 from samira_warp.train.results import score, write_result
-from samira_warp.train.run import TRAINING_LPIPS, at_its_sizes
 from samira_warp.train.settings import resolve
 from samira_warp.train.setup import PIXEL_CACHE_BYTES, start
 from samira_warp.train.trainer import Trainer
@@ -134,11 +134,11 @@ def measure(device: torch.device, data: Path) -> list[Row]:
 
 def _train(record: Record, plan: TrainPlan, sequence: TrackedSequence, pixels: PixelCache) -> None:
     """From the avatar to its scores."""
-    lpips = at_its_sizes(find_lpips(TRAINING_LPIPS[plan.settings.preset], None), plan)
+    distances = PerceptualDistances.find(plan.settings.preset, None).at_sizes(plan)
     with record.stage("avatar made"):
         trainer = Trainer(plan, sequence, pixels, start(plan, sequence, pixels).avatar)
-        if isinstance(lpips, Lpips):
-            trainer.perceptual = lpips.to(trainer.device)
+        if isinstance(distances.training, Lpips):
+            trainer.perceptual = distances.training.to(trainer.device)
     record.trainer = trainer
     first, until = plan.schedule.density
     steps = plan.schedule.steps
@@ -159,7 +159,7 @@ def _train(record: Record, plan: TrainPlan, sequence: TrackedSequence, pixels: P
         write_result(plan.settings.out, trainer, {})
     with record.stage("scored"):
         few = replace(sequence, test=sequence.test[:SCORED])
-        score(trainer.avatar, few, pixels, plan=plan, lpips=lpips)
+        score(trainer.avatar, few, pixels, plan=plan, distances=distances)
 
 
 def _steps(trainer: Trainer, *, until: int) -> None:
