@@ -180,7 +180,7 @@ def step(device: torch.device) -> None:
     """A training step's milliseconds by stage, and what it launches and waits for."""
     for name, value in train_bench.measure(device, preset=PRESET, shadows=True).items():
         if name.endswith("_ms"):
-            tell(f"step, {name.removesuffix('_ms')}", _number(value), "ms")
+            tell(f"step, {name.removesuffix('_ms').replace('_', ' ')}", _number(value), "ms")
     counts = train_bench.count(device, preset=PRESET).values()
     tell("Warp launches", sum(found.launches.total() for found in counts), "a step")
     tell("torch operations", sum(found.operations.total() for found in counts), "a step")
@@ -197,7 +197,7 @@ def subject() -> None:
 
 def training(device: torch.device, data: Path | None) -> None:
     """Train for about a minute, and score. The image encoder is random, which wants no network."""
-    milliseconds = _number(train_bench.measure(device, preset=PRESET, shadows=True)["total_ms"])
+    milliseconds = _number(train_bench.measure(device, preset=PRESET, shadows=True)["average_ms"])
     steps = max(int(1e3 * TRAINING_SECONDS / milliseconds), 1)
     with tempfile.TemporaryDirectory(prefix="bench-training-") as name:
         run_folder = Path(name) / "run"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json as json_format
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from typing import Protocol
 
@@ -20,11 +20,16 @@ from samira_warp.train.limits import hold_shapes, longest_axes
 from samira_warp.train.losses import Known, LossWeights, Target, total_loss
 from samira_warp.train.materials import hold_known
 from samira_warp.train.optimizer import make_optimizer, set_rates
+from samira_warp.train.schedule import LIGHT_FRAMES
+from samira_warp.train.shared_light import SharedLight
 from samira_warp.train.tracking import TrackedParameters
 from samira_warp.train.unseen import hold_guesses
 
 STEPS_BEFORE = 2
 """Steps before the one whose work is counted: kernels load, and the optimiser makes its state."""
+
+LIGHT = ("light", "light learns")
+"""Stages of the step in which the light learns, one of `LIGHT_FRAMES`; the others have none of them."""
 
 MOST = 12
 """Kernels and operations in the table of those that are launched most."""
@@ -39,7 +44,10 @@ class Stages(Protocol):
 
 
 def make_step(device: torch.device, *, preset: PresetName, shadows: bool) -> Callable[[Stages], None]:
-    """A step in stage two, without LPIPS and without decoding images, to take again and again."""
+    """A step in which the light learns, without LPIPS and without decoding images, to take again and again.
+
+    It is one of stage two.
+    """
     size = PRESETS[preset].resolution
     avatar, camera = make_avatar(preset, device=device), make_camera(size).to(device)
     parameters = [make_parameters(seed).to(device) for seed in range(4)]
@@ -51,10 +59,11 @@ def make_step(device: torch.device, *, preset: PresetName, shadows: bool) -> Cal
     weights, known = LossWeights(), Known.of(avatar)
     longest = longest_axes(known.face_scales, initial_spread(avatar.canonical, PRESETS[preset].gaussians))
     occlusion = avatar.occluder.occlude(avatar.canonical.pose(parameters[0]))
+    shared = SharedLight(avatar.light)
 
     def step(stages: Stages) -> None:
         with stages.stage("light"):
-            light = avatar.light()
+            light = shared.light()
         with stages.stage("motion"):
             motion = avatar.move(tracked.frame(0, parameters[0]))
         with stages.stage("arrival"):
@@ -68,6 +77,9 @@ def make_step(device: torch.device, *, preset: PresetName, shadows: bool) -> Cal
             optimizer.zero_grad(set_to_none=True)
         with stages.stage("backward"):
             torch.stack(list(terms.values())).sum().backward()
+        with stages.stage("light learns"):
+            shared.listen()
+            shared.learn()
         with stages.stage("optimizer"):
             hold_known(avatar.gaussians, known.materials.held)
             hold_guesses(avatar.gaussians)
@@ -78,7 +90,7 @@ def make_step(device: torch.device, *, preset: PresetName, shadows: bool) -> Cal
 
 
 def measure(device: torch.device, *, preset: PresetName, shadows: bool) -> dict[str, object]:
-    """Median milliseconds of a step."""
+    """Median milliseconds of a step in which the light learns, and what a step takes on average."""
     step, stopwatch = make_step(device, preset=preset, shadows=shadows), Stopwatch(device)
 
     def whole_step() -> None:
@@ -88,7 +100,14 @@ def measure(device: torch.device, *, preset: PresetName, shadows: bool) -> dict[
     repeat(whole_step)
     sizes = PRESETS[preset]
     row = {"preset": preset, "size": sizes.resolution, "gaussians": sizes.gaussians, "shadows": shadows}
-    return {**row, **{f"{name}_ms": value for name, value in stopwatch.medians().items()}}
+    medians = stopwatch.medians()
+    medians["average"] = medians["total"] - _rests([medians[name] for name in LIGHT])
+    return {**row, **{f"{name.replace(' ', '_')}_ms": value for name, value in medians.items()}}
+
+
+def _rests(of_the_light: Sequence[float]) -> float:
+    """What a step is spared on average of what its light's stages come to."""
+    return sum(of_the_light) * (1.0 - 1.0 / LIGHT_FRAMES)
 
 
 def count(device: torch.device, *, preset: PresetName) -> dict[str, Counts]:
@@ -144,15 +163,22 @@ def count_rows(counts: dict[str, Counts]) -> list[dict[str, object]]:
     ]
 
 
+def _number(value: object) -> int:
+    assert isinstance(value, int)
+    return value
+
+
 def print_counts(counts: dict[str, Counts]) -> None:
     """Tables of the sums by stage, of every wait, and of what is launched most."""
     sums = ("stage", "warp_launches", "torch_operations", "synchronisations")
     columns = sums if all(found.warned is None for found in counts.values()) else (*sums, "told_by_cuda")
     rows = [{name: row[name] for name in columns} for row in count_rows(counts)]
-    totals: dict[str, object] = {
-        name: sum(value for row in rows if isinstance(value := row[name], int)) for name in columns[1:]
+    totals = {name: sum(_number(row[name]) for row in rows) for name in columns[1:]}
+    of_light = [row for row in rows if row["stage"] in LIGHT]
+    averages: dict[str, object] = {
+        name: total - _rests([_number(row[name]) for row in of_light]) for name, total in totals.items()
     }
-    print_table([*rows, {"stage": "total", **totals}])
+    print_table([*rows, {"stage": "total", **totals}, {"stage": "on average", **averages}])
     waits: list[dict[str, object]] = [
         {"stage": stage, "why": wait.why, "by": wait.operation, "where": wait.where, "times": times}
         for stage, found in counts.items()

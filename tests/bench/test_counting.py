@@ -187,7 +187,17 @@ def test_a_steps_waits_are_found_where_they_are(monkeypatch, capsys):
         bench_main(BenchConfig(what="train", device="cpu", json=True, count=True))
         rows = {row["stage"]: row for row in json.loads(capsys.readouterr().out)}
         bench_main(BenchConfig(what="train", device="cpu", count=True))
-    stages = ["light", "motion", "arrival", "raster", "shading", "loss", "backward", "optimizer"]
+    stages = [
+        "light",
+        "motion",
+        "arrival",
+        "raster",
+        "shading",
+        "loss",
+        "backward",
+        "light learns",
+        "optimizer",
+    ]
     assert list(rows) == stages
     put = [wait for wait in rows["loss"]["waits"] if wait["where"].startswith("test_counting.py:")]
     assert [(wait["operation"], wait["times"]) for wait in put] == [("_local_scalar_dense", 1)]
@@ -202,9 +212,13 @@ def test_a_steps_waits_are_found_where_they_are(monkeypatch, capsys):
     assert rows["shading"]["warp_launches"] == 1
 
     _, stages_table, waits_table, most_table = re.split(r"\n\n|(?<=cpu)\n", capsys.readouterr().out)
-    total = stages_table.splitlines()[-1].split()
+    total, average = (line.split() for line in stages_table.splitlines()[-2:])
     sums = ("warp_launches", "torch_operations", "synchronisations")
     assert total == ["total", *(str(sum(row[name] for row in rows.values())) for name in sums)]
+    # the light's stages are those of every fourth step
+    spared = 0.75 * sum(rows[stage]["torch_operations"] for stage in ("light", "light learns"))
+    assert average[:2] == ["on", "average"]
+    assert float(average[3]) == pytest.approx(float(total[2]) - spared, abs=0.06)
     assert sum("test_counting.py:" in line for line in waits_table.splitlines()) == 1
     assert len(most_table.splitlines()) == 2 + train.MOST
 

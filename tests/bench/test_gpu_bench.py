@@ -51,7 +51,7 @@ def test_the_gpu_that_is_named_is_taken(monkeypatch):
 
 
 def test_a_dataset_is_for_the_gpus_training(tmp_path):
-    with pytest.raises(UserError, match="--data: expected bench gpu, found bench train"):
+    with pytest.raises(UserError, match="--data: expected bench gpu or bench memory, found bench train"):
         bench_main(BenchConfig(what="train", device="cpu", data=tmp_path))
     with pytest.raises(UserError, match="--data: expected a dataset's folder"):
         gpu.main("cuda:0", False, tmp_path / "missing")
@@ -241,7 +241,7 @@ def test_frames_a_step_and_the_first_use_are_told(small, capsys):
 
 
 def test_a_training_of_as_many_steps_as_fit(small, monkeypatch, tiny_dataset, capsys):
-    monkeypatch.setattr(train, "measure", lambda device, *, preset, shadows: {"total_ms": 20.0})
+    monkeypatch.setattr(train, "measure", lambda device, *, preset, shadows: {"average_ms": 20.0})
     monkeypatch.setattr(gpu_stages, "TRAINING_SECONDS", 0.07)
     gpu_stages.training(CPU, tiny_dataset)
     rows = told(capsys)
