@@ -19,6 +19,7 @@ from samira_warp.light import FilteredLight
 from samira_warp.support.errors import UserError
 from samira_warp.train.begun import CHECKPOINTS_FOLDER
 from samira_warp.train.checkpoint import TrainingState, load_training, save_checkpoint
+from samira_warp.train.condition_decay import decay_conditions
 from samira_warp.train.density import DensityStatistics, control_density, reset_opacity
 from samira_warp.train.initialize import initial_spread, spread_out
 from samira_warp.train.interrupt import StopRequest
@@ -38,7 +39,7 @@ from samira_warp.train.optimizer import (
 )
 from samira_warp.train.plan import TrainPlan
 from samira_warp.train.ranks import ALONE, Ranks
-from samira_warp.train.schedule import LIGHT_FRAMES
+from samira_warp.train.schedule import LIGHT_FRAMES, learning_rate
 from samira_warp.train.shared_light import SharedLight
 from samira_warp.train.skin import skin_faces
 from samira_warp.train.tracking import TrackedParameters
@@ -237,6 +238,8 @@ class Trainer:
         hold_known(self.avatar.gaussians, self.known.materials.held)
         hold_guesses(self.avatar.gaussians)
         self.optimizer.step(rows=dict.fromkeys(map(self._row, taken)))
+        rate = learning_rate("network", step=self.step, steps=self.schedule.steps)
+        decay_conditions(self.avatar.motion, rate=rate, frames=len(taken))
         hold_shapes(self.avatar.gaussians, self.known.face_scales, self.longest_axes)
         self._control_density(taken)
         self.step += len(taken)
