@@ -172,7 +172,7 @@ def _values(planes: np.ndarray) -> Tensor:
 
 
 def _deflated(planes: np.ndarray) -> _Kept:
-    return _Kept(zlib.compress(planes, FASTEST), planes.shape)
+    return _Kept(zlib.compress(planes.data, FASTEST), planes.shape)
 
 
 def _inflated(kept: _Kept) -> np.ndarray:

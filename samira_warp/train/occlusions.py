@@ -46,7 +46,7 @@ class _Folded:
     @classmethod
     def of(cls, occlusion: Occlusion) -> _Folded:
         bits = occlusion.bits
-        folded = zlib.compress(bits.numpy(), 1) if bits.device.type == "cpu" else bits
+        folded = zlib.compress(bits.numpy().data, 1) if bits.device.type == "cpu" else bits
         return cls(folded, occlusion.points, occlusion.openness, occlusion.transform)
 
     @property
