@@ -178,8 +178,7 @@ def _keep_all(trainer: Trainer) -> None:
     for row, index in enumerate(sequence.train):
         if occlusions.full or not trainer.avatar.settings.visibility:
             break
-        tracked = sequence.frames[index].parameters.to(trainer.device)
-        parameters = trainer.tracked.frame(row, tracked)
+        parameters = trainer.tracked.frame(row, sequence.frames[index].parameters)
         occlusions.of(row, parameters, trainer.avatar.canonical.pose(parameters))
 
 

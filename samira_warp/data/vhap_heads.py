@@ -66,9 +66,11 @@ def _offset_beyond(found: ParameterFile, subjects: Tensor | None) -> Tensor | No
     """(V, 3) metres of a frame's offsets that the subject's static one leaves, None where nothing is left.
 
     A frame that does not repeat the subject's static offset has it all the same; one that brings another
-    keeps its head by moving the difference.
+    keeps its head by moving the difference. Exports write zeros where they tracked none: 60 KB a frame.
     """
     own, dynamic = found.static_offset, found.parameters.dynamic_offset
+    if dynamic is not None and not dynamic.any():
+        dynamic = None
     if own is None or (subjects is not None and torch.equal(own, subjects)):
         return dynamic
     beyond = own if subjects is None else own - subjects

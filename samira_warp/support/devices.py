@@ -6,6 +6,7 @@ import sys
 
 import torch
 import warp as wp
+from torch import Tensor
 
 from samira_warp.support.device_names import DeviceName, gpu_number
 from samira_warp.support.errors import UserError
@@ -41,6 +42,13 @@ def pick_device(name: DeviceName) -> torch.device:
         print(f"computing on the CPU: torch can use cuda:{number}, but Warp cannot", file=sys.stderr)
         return torch.device("cpu")
     return torch.device("cuda", number)
+
+
+def sent(values: Tensor, device: torch.device) -> Tensor:
+    """A tensor of the CPU's on ``device``, without waiting for what a GPU is at work on."""
+    if device.type != "cuda":
+        return values.to(device)
+    return values.pin_memory().to(device, non_blocking=True)
 
 
 def _warp_has(number: int) -> bool:

@@ -107,7 +107,7 @@ def write_result(folder: Path, trainer: Trainer, record: dict[str, Any]) -> None
         DrivingFrame(
             frames[index].name,
             fitted.get(index, frames[index].parameters),
-            trainer.camera(frames[index]),
+            trainer.camera(index),
             part,
         )
         for index, part in parts

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from torch import nn
 
 from samira_warp.head import FrameParameters
@@ -27,9 +25,10 @@ class TrackedParameters(nn.Module):
 
     def frame(self, row: int, tracked: FrameParameters) -> FrameParameters:
         """The fine-tuned parameters of training frame ``row``, with the dynamic offset of ``tracked``."""
-        return replace(
-            tracked,
+        offset = tracked.dynamic_offset
+        return FrameParameters(
             translation=self.translation[row],
             rotations=self.rotations[row],
             expression=self.expression[row],
+            dynamic_offset=None if offset is None else offset.to(self.translation.device),
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +17,7 @@ from samira_warp.geometry.camera import Camera
 from samira_warp.geometry.mesh import face_areas
 from samira_warp.head import FrameParameters
 from samira_warp.light import FilteredLight
+from samira_warp.support.devices import sent
 from samira_warp.support.errors import UserError
 from samira_warp.train.begun import CHECKPOINTS_FOLDER
 from samira_warp.train.checkpoint import TrainingState, load_training, save_checkpoint
@@ -65,6 +67,7 @@ class Trainer:
     the same ones.
 
     Attributes:
+        views: (I, 4, 4) the transforms of all frames' cameras, on the device.
         step: Number of steps done by all ranks together.
     """
 
@@ -84,6 +87,8 @@ class Trainer:
         self.perceptual: Lpips | None = None
         self.device = torch.device(plan.settings.device)
         self.tracked = TrackedParameters(sequence.batch(sequence.train)).to(self.device)
+        views = [frame.camera.world_to_camera for frame in sequence.frames]
+        self.views = torch.stack(views).to(self.device)
         moments = [sequence.frames[index].timestep for index in sequence.train]
         noise = tracking_noise(sequence.batch(sequence.train), moments)
         self.noise = {name: values.to(self.device) for name, values in noise.items()}
@@ -146,10 +151,10 @@ class Trainer:
     def settle(self) -> None:
         """Guess what no training picture saw (`train.unseen`)."""
         rows = spread_out(range(len(self.sequence.train)), SETTLING_VIEWS)
-        frames = [(row, self.sequence.frames[self.sequence.train[row]]) for row in rows]
+        indices = [(row, self.sequence.train[row]) for row in rows]
         views = (
-            (self.tracked.frame(row, frame.parameters.to(self.device)), self.camera(frame))
-            for row, frame in frames
+            (self.tracked.frame(row, self.sequence.frames[index].parameters), self.camera(index))
+            for row, index in indices
         )
         guess_unseen(self.avatar, look(self.avatar, views), self.known.neighbours)
         # what is counted on a GPU may differ in its last bits from rank to rank
@@ -166,7 +171,7 @@ class Trainer:
         for index in spread_out(self.sequence.test, TEST_VIEWS):
             frame = self.sequence.frames[index]
             shadows = self.avatar.settings.visibility
-            rendering = self.avatar.render(frame.parameters, self.camera(frame), light, shadows=shadows)
+            rendering = self.avatar.render(frame.parameters, self.camera(index), light, shadows=shadows)
             try:
                 truth = self.pixels[index].image
             except UserError:
@@ -210,7 +215,7 @@ class Trainer:
             light_frames=self.light.frames + len(taken),
         )
         frame, target = self._target(row, step)
-        camera = self.camera(frame)
+        camera = self.camera(self.sequence.train[row])
         rendering = self._render(row, step, frame, camera, light, target.background)
         perceptual = (
             self.perceptual if self.schedule.perceptual_on(step) and self._perceptual_turn(step) else None
@@ -290,7 +295,7 @@ class Trainer:
     ) -> Rendering:
         """`Avatar.render` of a training frame under the learned light, with what was traced of it before."""
         avatar = self.avatar
-        parameters = self.tracked.frame(row, frame.parameters.to(self.device))
+        parameters = self.tracked.frame(row, frame.parameters)
         motion, arrival = avatar.move(parameters, seen=self._seen(parameters, step)), None
         if avatar.settings.visibility:
             occlusion = self.occlusions.of(row, parameters, motion.head)
@@ -316,9 +321,10 @@ class Trainer:
             self.density,
         )
 
-    def camera(self, frame: Frame) -> Camera:
-        """The frame's camera at the training resolution, on the device."""
-        return frame.camera.with_longer_side(self.settings.resolution).to(self.device)
+    def camera(self, index: int) -> Camera:
+        """The camera of the sequence's frame at the training resolution, on the device."""
+        camera = self.sequence.frames[index].camera.with_longer_side(self.settings.resolution)
+        return replace(camera, world_to_camera=self.views[index])
 
     def _row(self, step: int) -> int:
         """The training frame of a step: a permutation for every epoch, from the seed and the epoch alone."""
@@ -357,7 +363,7 @@ class Trainer:
         if not matted or step % 2 == 0:
             return torch.ones(3, device=self.device)
         generator = torch.Generator().manual_seed(self.settings.seed * 1_000_003 + step)
-        return torch.rand(3, generator=generator).to(self.device)
+        return sent(torch.rand(3, generator=generator), self.device)
 
     def _perceptual_turn(self, step: int) -> bool:
         """LPIPS is every fourth step's in the cpu preset, and every step's otherwise."""

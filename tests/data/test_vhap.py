@@ -255,6 +255,14 @@ def test_a_repeated_static_offset_is_the_subjects(tmp_path):
     assert all(frame.parameters.dynamic_offset is None for frame in sequence.frames)
 
 
+def test_offsets_of_zero_are_none(dataset):
+    """Exports write them where nothing was tracked; 20,000 of FLAME's vertices would take more than 1 GB."""
+    offset = np.zeros((1, len(tiny_template()["v_template"]), 3), np.float32)
+    for path in (dataset / "flame_param").iterdir():
+        change_arrays(path, dynamic_offset=offset)
+    assert all(frame.parameters.dynamic_offset is None for frame in open_sequence(dataset).frames)
+
+
 @pytest.mark.parametrize("has_dynamic", [True, False])
 @pytest.mark.parametrize("subject_has_one", [True, False])
 def test_a_frames_own_static_offset_moves_its_head(tmp_path, subject_has_one, has_dynamic):
@@ -279,7 +287,7 @@ def test_a_frames_own_static_offset_moves_its_head(tmp_path, subject_has_one, ha
 
 def test_frames_of_one_moment_share_their_parameters(dataset):
     change_every_entry(dataset, lambda entry: entry.update(flame_param_path="flame_param/00003.npz"))
-    offset = np.zeros((1, len(tiny_template()["v_template"]), 3), np.float32)
+    offset = np.full((1, len(tiny_template()["v_template"]), 3), 1e-3, np.float32)
     change_arrays(dataset / "flame_param" / "00003.npz", dynamic_offset=offset)
     frames = [frame.parameters for frame in open_sequence(dataset).frames]
     for name in ("rotations", "expression", "dynamic_offset"):
