@@ -16,6 +16,7 @@ from samira_warp.avatar.editing import MaterialEdit, edit_materials
 from samira_warp.avatar.gaussians import Gaussians
 from samira_warp.avatar.gbuffer import GBuffer, blend_arrival, light_channels, render_gbuffer
 from samira_warp.avatar.occlusion import Occluder, Occlusion, gaussian_arrival
+from samira_warp.avatar.picture import shade_picture
 from samira_warp.avatar.portrait import Portraits, png_of
 from samira_warp.avatar.residual import axis_angle_to_quaternion, limit_residual, quaternion_product
 from samira_warp.avatar.response import response_factors, response_map
@@ -449,17 +450,30 @@ def _shade_pixels(
     tone_map: ToneMap,
 ) -> Shaded:
     """Shade and compose every pixel of a G-buffer; the maps of the result are (H, W, 3)."""
-    surface = gbuffer.map(lambda values: values.flatten(0, 1))
-    shaded = shade(
-        surface,
-        -camera.ray_directions().flatten(0, 1),
-        light,
-        alpha=gbuffer.alpha.flatten(0, 1),
-        background=_behind(background, gbuffer.albedo),
-        color_space=color_space,
-        tone_map=tone_map,
-    )
-    return Shaded(*(value.unflatten(0, gbuffer.alpha.shape[:2]) for value in shaded))
+    surface, alpha = gbuffer.map(lambda values: values.flatten(0, 1)), gbuffer.alpha.flatten(0, 1)
+    behind, size = _behind(background, gbuffer.albedo), gbuffer.alpha.shape[:2]
+    if torch.is_grad_enabled():
+        toward = -camera.ray_directions().flatten(0, 1)
+        shaded = shade(
+            surface,
+            toward,
+            light,
+            alpha=alpha,
+            background=behind,
+            color_space=color_space,
+            tone_map=tone_map,
+        )
+    else:
+        shaded = shade_picture(
+            surface,
+            camera,
+            light,
+            alpha=alpha,
+            background=behind,
+            color_space=color_space,
+            tone_map=tone_map,
+        )
+    return Shaded(*(value.unflatten(0, size) for value in shaded))
 
 
 def _behind(background: torch.Tensor | float, image: torch.Tensor) -> torch.Tensor | float:
