@@ -18,7 +18,13 @@ from samira_warp.avatar.gbuffer import GBuffer, blend_arrival, light_channels, r
 from samira_warp.avatar.occlusion import Occluder, Occlusion, gaussian_arrival
 from samira_warp.avatar.picture import shade_picture
 from samira_warp.avatar.portrait import Portraits, png_of
-from samira_warp.avatar.residual import axis_angle_to_quaternion, limit_residual, quaternion_product
+from samira_warp.avatar.residual import (
+    axis_angle_to_quaternion,
+    limit_position,
+    limit_residual,
+    limit_rotation,
+    quaternion_product,
+)
 from samira_warp.avatar.response import response_factors, response_map
 from samira_warp.avatar.settings import AvatarSettings
 from samira_warp.avatar.storage import find_avatar, naming_misfits, read_avatar, write_avatar
@@ -42,6 +48,7 @@ from samira_warp.nets import Conditions, ConditionStatistics, MotionNetwork
 from samira_warp.nets.motion import RESIDUAL_CHANNELS
 from samira_warp.support.errors import UserError
 from samira_warp.support.tone_names import ToneMap
+from samira_warp.support.unchanged import WhileUnchanged
 from samira_warp.surface import Surface
 
 DISPLACEMENT_UNIT = 0.01
@@ -55,18 +62,34 @@ class Motion(NamedTuple):
         head: The posed mesh M_t.
         gaussians: Means, quaternions and scales after the residual; normals before it (Eq. normal_transform),
             but for wrinkles.
-        residual_position: (H, W, 3) UV map, metres; zero without a residual.
-        residual_rotation: (H, W, 3) UV map, axis-angle radians.
-        slopes: (H, W, 2) UV map of the wrinkles that turn the normals, along u and v; zero without them.
+        residual: (H, W, C) UV map of what the motion network says, before its limits: o_mu and o_r, then the
+            wrinkles' slopes where there are any; zero without a residual.
         normals: (N, 3) canonical normals, of any length, as wrinkles have turned them.
     """
 
     head: PosedHead
     gaussians: BoundGaussians
-    residual_position: torch.Tensor
-    residual_rotation: torch.Tensor
-    slopes: torch.Tensor
+    residual: torch.Tensor
     normals: torch.Tensor
+
+    # maps that most pictures do not need are made when they are asked for
+
+    @property
+    def residual_position(self) -> torch.Tensor:
+        """(H, W, 3) UV map, metres; zero without a residual."""
+        return limit_position(self.residual[..., :3])
+
+    @property
+    def residual_rotation(self) -> torch.Tensor:
+        """(H, W, 3) UV map, axis-angle radians."""
+        return limit_rotation(self.residual[..., 3:RESIDUAL_CHANNELS])
+
+    @property
+    def slopes(self) -> torch.Tensor:
+        """(H, W, 2) UV map of the wrinkles that turn the normals, along u and v; zero without them."""
+        if self.residual.shape[-1] == RESIDUAL_CHANNELS:
+            return torch.zeros_like(self.residual[..., :2])
+        return limit_slopes(self.residual[..., RESIDUAL_CHANNELS:])
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,6 +169,7 @@ class Avatar(nn.Module):
         self.light = light
         self.occluder = Occluder(canonical.vertices, canonical.topology)
         self._portraits = Portraits()
+        self._kept_responses: WhileUnchanged[dict[str, torch.Tensor]] = WhileUnchanged()
         self.set_gaussians(gaussians)
 
     def set_gaussians(self, gaussians: Gaussians) -> None:
@@ -179,17 +203,15 @@ class Avatar(nn.Module):
         frames = triangle_frames(head.vertices, self.canonical.topology)
         normals: torch.Tensor = self.gaussians.normals
         if not self.settings.residual:
-            nothing = torch.zeros_like(self.canonical.positions)
-            return Motion(head, self._bound(frames, normals), nothing, nothing, nothing[..., :2], normals)
+            nothing = normals.new_zeros(*self.canonical.positions.shape[:2], RESIDUAL_CHANNELS)
+            return Motion(head, self._bound(frames, normals), nothing, normals)
         if seen is None:
             residual = self._residual(head, parameters)
         else:
             residual = self._residual(self.canonical.pose(seen), seen)
         sampled = gather(residual.reshape(-1, residual.shape[-1]), self.uv_samples)
         position, rotation = limit_residual(sampled[:, :RESIDUAL_CHANNELS])
-        slopes = torch.zeros_like(residual[..., :2])
         if self.settings.motion.wrinkles:
-            slopes = limit_slopes(residual[..., RESIDUAL_CHANNELS:])
             normals = wrinkled(normals, limit_slopes(sampled[:, RESIDUAL_CHANNELS:]), self.tangents)
         bound = self._bound(frames, normals)
         if self.settings.residual_frame == "head":
@@ -199,7 +221,7 @@ class Avatar(nn.Module):
             means=bound.means + position,
             quaternions=quaternion_product(axis_angle_to_quaternion(rotation), bound.quaternions),
         )
-        return Motion(head, refined, *limit_residual(residual[..., :RESIDUAL_CHANNELS]), slopes, normals)
+        return Motion(head, refined, residual, normals)
 
     def _residual(self, head: PosedHead, parameters: FrameParameters) -> torch.Tensor:
         """(H, W, C) what the network says of a frame, before limits (Eqs. uv_displacement to dynamic_map).
@@ -245,6 +267,13 @@ class Avatar(nn.Module):
 
     def _responses(self) -> dict[str, torch.Tensor]:
         """The response factors tau^d and tau^s of every Gaussian, (N, 1) each, by channel."""
+        if torch.is_grad_enabled():
+            return self._respond()
+        samples = self.uv_samples
+        of = (self.response_logits, self.canonical.atlas.soft_masks, samples.indices, samples.weights)
+        return self._kept_responses.get(of, self._respond)
+
+    def _respond(self) -> dict[str, torch.Tensor]:
         factors = response_map(response_factors(self.response_logits), self.canonical.atlas.soft_masks)
         diffuse, specular = gather(factors.reshape(-1, 2), self.uv_samples).split(1, dim=1)
         return {"response_diffuse": diffuse, "response_specular": specular}
@@ -363,7 +392,11 @@ class Avatar(nn.Module):
 
         Differentiable in the light alone.
         """
-        at_gaussians = gather(self.occluder.arrival(occlusion, light, camera), self.corners)
+        return self.arrival_from(self.occluder.arrival(occlusion, light, camera))
+
+    def arrival_from(self, at_vertices: torch.Tensor) -> torch.Tensor:
+        """The same from what arrives at the vertices, (V, 6) of `Occluder.arrival`."""
+        at_gaussians = gather(at_vertices, self.corners)
         return gaussian_arrival(at_gaussians, self.gaussians.roughness.detach()[:, None])
 
     def display(self, values: torch.Tensor) -> torch.Tensor:

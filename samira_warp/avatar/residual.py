@@ -23,7 +23,17 @@ def limit_residual(residual: Tensor) -> tuple[Tensor, Tensor]:
         (..., 3) s_mu tanh(o_mu) and (..., 3) pi tanh(o_r).
     """
     position, rotation = residual.split(3, dim=-1)
-    return POSITION_LIMIT * torch.tanh(position), torch.pi * torch.tanh(rotation)
+    return limit_position(position), limit_rotation(rotation)
+
+
+def limit_position(position: Tensor) -> Tensor:
+    """(..., 3) metres, s_mu tanh(o_mu)."""
+    return POSITION_LIMIT * torch.tanh(position)
+
+
+def limit_rotation(rotation: Tensor) -> Tensor:
+    """(..., 3) axis-angle radians, pi tanh(o_r)."""
+    return torch.pi * torch.tanh(rotation)
 
 
 def axis_angle_to_quaternion(axis_angle: Tensor) -> Tensor:

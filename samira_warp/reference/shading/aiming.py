@@ -1,4 +1,4 @@
-"""Where pixels look and are lit from in plain torch, for any floating dtype: `kernels.shading.aiming` again."""
+"""Where pixels look and are lit from in plain torch: `kernels.shading.aiming`."""
 
 from __future__ import annotations
 
