@@ -16,8 +16,9 @@ from samira_warp.avatar.editing import MaterialEdit, edit_materials
 from samira_warp.avatar.gaussians import Gaussians
 from samira_warp.avatar.gbuffer import GBuffer, blend_arrival, light_channels, render_gbuffer
 from samira_warp.avatar.occlusion import Occluder, Occlusion, gaussian_arrival
+from samira_warp.avatar.picture import shade_picture
 from samira_warp.avatar.portrait import Portraits, png_of
-from samira_warp.avatar.residual import limit_residual
+from samira_warp.avatar.residual import LimitedResidual, limit_residual
 from samira_warp.avatar.response import response_factors, response_map
 from samira_warp.avatar.settings import AvatarSettings
 from samira_warp.avatar.storage import find_avatar, naming_misfits, read_avatar, write_avatar
@@ -39,8 +40,10 @@ from samira_warp.light import (
     to_display,
 )
 from samira_warp.nets import Conditions, ConditionStatistics, MotionNetwork
+from samira_warp.nets.motion import RESIDUAL_CHANNELS
 from samira_warp.support.errors import UserError
 from samira_warp.support.tone_names import ToneMap
+from samira_warp.support.unchanged import WhileUnchanged
 from samira_warp.surface import Surface
 
 DISPLACEMENT_UNIT = 0.01
@@ -54,18 +57,40 @@ class Motion(NamedTuple):
         head: The posed mesh M_t.
         gaussians: Means, quaternions and scales after the residual; normals before it (Eq. normal_transform),
             but for wrinkles.
-        residual_position: (H, W, 3) UV map, metres; zero without a residual.
-        residual_rotation: (H, W, 3) UV map, axis-angle radians.
-        slopes: (H, W, 2) UV map of the wrinkles that turn the normals, along u and v; zero without them.
+        residual: (H, W, C) UV map of what the motion network says, before its limits: o_mu and o_r, then the
+            wrinkles' slopes where there are any; zero without a residual.
         normals: (N, 3) canonical normals, of any length, as wrinkles have turned them.
     """
 
     head: PosedHead
     gaussians: BoundGaussians
-    residual_position: torch.Tensor
-    residual_rotation: torch.Tensor
-    slopes: torch.Tensor
+    residual: torch.Tensor
     normals: torch.Tensor
+
+    # maps that most pictures do not need are made when they are asked for
+
+    @property
+    def limited(self) -> LimitedResidual:
+        """UV maps (H, W, 3), (H, W, 3) and (H, W, 2) of the residual within its limits; zero without it."""
+        limited = limit_residual(self.residual)
+        if self.residual.shape[-1] == RESIDUAL_CHANNELS:
+            return limited._replace(slopes=torch.zeros_like(self.residual[..., :2]))
+        return limited
+
+    @property
+    def residual_position(self) -> torch.Tensor:
+        """(H, W, 3) UV map, metres; zero without a residual."""
+        return self.limited.position
+
+    @property
+    def residual_rotation(self) -> torch.Tensor:
+        """(H, W, 3) UV map, axis-angle radians."""
+        return self.limited.rotation
+
+    @property
+    def slopes(self) -> torch.Tensor:
+        """(H, W, 2) UV map of the wrinkles that turn the normals, along u and v; zero without them."""
+        return self.limited.slopes
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,6 +170,7 @@ class Avatar(nn.Module):
         self.light = light
         self.occluder = Occluder(canonical.vertices, canonical.topology)
         self._portraits = Portraits()
+        self._kept_responses: WhileUnchanged[dict[str, torch.Tensor]] = WhileUnchanged()
         self.set_gaussians(gaussians)
 
     def set_gaussians(self, gaussians: Gaussians) -> None:
@@ -178,8 +204,8 @@ class Avatar(nn.Module):
         frames = triangle_frames(head.vertices, self.canonical.topology)
         normals: torch.Tensor = self.gaussians.normals
         if not self.settings.residual:
-            nothing = torch.zeros_like(self.canonical.positions)
-            return Motion(head, self._bound(frames, normals), nothing, nothing, nothing[..., :2], normals)
+            nothing = normals.new_zeros(*self.canonical.positions.shape[:2], RESIDUAL_CHANNELS)
+            return Motion(head, self._bound(frames, normals), nothing, normals)
         if seen is None:
             residual = self._residual(head, parameters)
         else:
@@ -193,10 +219,7 @@ class Avatar(nn.Module):
             axes = head.head_transform[:3, :3].T
             position, rotation = position @ axes, rotation @ axes
         refined = bound._replace(means=bound.means + position, quaternions=turn(bound.quaternions, rotation))
-        limited = limit_residual(residual)
-        if not self.settings.motion.wrinkles:
-            limited = limited._replace(slopes=torch.zeros_like(residual[..., :2]))
-        return Motion(head, refined, *limited, normals)
+        return Motion(head, refined, residual, normals)
 
     def _residual(self, head: PosedHead, parameters: FrameParameters) -> torch.Tensor:
         """(H, W, C) what the network says of a frame, before limits (Eqs. uv_displacement to dynamic_map).
@@ -242,6 +265,13 @@ class Avatar(nn.Module):
 
     def _responses(self) -> dict[str, torch.Tensor]:
         """The response factors tau^d and tau^s of every Gaussian, (N, 1) each, by channel."""
+        if torch.is_grad_enabled():
+            return self._respond()
+        samples = self.uv_samples
+        of = (self.response_logits, self.canonical.atlas.soft_masks, samples.indices, samples.weights)
+        return self._kept_responses.get(of, self._respond)
+
+    def _respond(self) -> dict[str, torch.Tensor]:
         factors = response_map(response_factors(self.response_logits), self.canonical.atlas.soft_masks)
         diffuse, specular = gather(factors.reshape(-1, 2), self.uv_samples).split(1, dim=1)
         return {"response_diffuse": diffuse, "response_specular": specular}
@@ -360,7 +390,11 @@ class Avatar(nn.Module):
 
         Differentiable in the light alone.
         """
-        at_gaussians = gather(self.occluder.arrival(occlusion, light, camera), self.corners)
+        return self.arrival_from(self.occluder.arrival(occlusion, light, camera))
+
+    def arrival_from(self, at_vertices: torch.Tensor) -> torch.Tensor:
+        """The same from what arrives at the vertices, (V, 6) of `Occluder.arrival`."""
+        at_gaussians = gather(at_vertices, self.corners)
         return gaussian_arrival(at_gaussians, self.gaussians.roughness.detach()[:, None])
 
     def display(self, values: torch.Tensor) -> torch.Tensor:
@@ -447,17 +481,30 @@ def _shade_pixels(
     tone_map: ToneMap,
 ) -> Shaded:
     """Shade and compose every pixel of a G-buffer; the maps of the result are (H, W, 3)."""
-    surface = gbuffer.map(lambda values: values.flatten(0, 1))
-    shaded = shade(
-        surface,
-        -camera.ray_directions().flatten(0, 1),
-        light,
-        alpha=gbuffer.alpha.flatten(0, 1),
-        background=_behind(background, gbuffer.albedo),
-        color_space=color_space,
-        tone_map=tone_map,
-    )
-    return Shaded(*(value.unflatten(0, gbuffer.alpha.shape[:2]) for value in shaded))
+    surface, alpha = gbuffer.map(lambda values: values.flatten(0, 1)), gbuffer.alpha.flatten(0, 1)
+    behind, size = _behind(background, gbuffer.albedo), gbuffer.alpha.shape[:2]
+    if torch.is_grad_enabled():
+        toward = -camera.ray_directions().flatten(0, 1)
+        shaded = shade(
+            surface,
+            toward,
+            light,
+            alpha=alpha,
+            background=behind,
+            color_space=color_space,
+            tone_map=tone_map,
+        )
+    else:
+        shaded = shade_picture(
+            surface,
+            camera,
+            light,
+            alpha=alpha,
+            background=behind,
+            color_space=color_space,
+            tone_map=tone_map,
+        )
+    return Shaded(*(value.unflatten(0, size) for value in shaded))
 
 
 def _behind(background: torch.Tensor | float, image: torch.Tensor) -> torch.Tensor | float:

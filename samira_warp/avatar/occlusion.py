@@ -145,20 +145,32 @@ class Occluder:
             (V, 6) float32: the share of the diffuse light by colour, of a glossy and of a rough lobe about
             the mirrored view, and openness.
         """
+        shares, lobes = self.shares(occlusion, light), self.lobes(occlusion, camera)
+        return torch.cat([shares, lobes, occlusion.openness], dim=1)
+
+    def shares(self, occlusion: Occlusion, light: FilteredLight) -> Tensor:
+        """(V, 3) float32 share of a diffuse light that arrives, by colour, wherever it is seen from.
+
+        Differentiable in the light, whose exposure does not matter.
+        """
         normals, transform = occlusion.normals, occlusion.transform
-        directions, areas, _ = sky(normals.device)
+        directions, _, _ = sky(normals.device)
         bits, toward, powers = occlusion.bits, directions, sky_powers(light, transform)
         if light.spots is not None:
             spots = (turn_directions(light.spots.directions, -light.rotate) @ transform[:3, :3]).contiguous()
             bits = torch.cat([bits, self._trace(occlusion.points, normals, spots)], dim=1)
             toward, powers = torch.cat([toward, spots]), torch.cat([powers, light.spots.powers])
-        shares = _ratio(*arriving_irradiance(bits, normals, toward, powers))
+        return _ratio(*arriving_irradiance(bits, normals, toward, powers))
+
+    def lobes(self, occlusion: Occlusion, camera: Camera) -> Tensor:
+        """(V, 2) float32 shares of a glossy and of a rough lobe about the mirrored view, under any light."""
+        normals, transform = occlusion.normals, occlusion.transform
+        directions, areas, _ = sky(normals.device)
         center = (camera.center - transform[:3, 3]) @ transform[:3, :3]
         view = torch.nn.functional.normalize(center - occlusion.points, dim=-1)
         mirrored = 2.0 * (normals * view).sum(dim=-1, keepdim=True) * normals - view
         edges = view.new_tensor([lobe_edge(GLOSSY), lobe_edge(ROUGH)])
-        lobes = open_shares(occlusion.bits, mirrored, edges, directions, areas)
-        return torch.cat([shares, lobes, occlusion.openness], dim=1)
+        return open_shares(occlusion.bits, mirrored, edges, directions, areas)
 
     def _trace(self, points: Tensor, normals: Tensor, directions: Tensor) -> Tensor:
         """(V, D / 32) bits of what a pose leaves open; poses differ by their points."""

@@ -28,13 +28,19 @@ SPLAT_BYTES = 32
 """Of a splat on its way to the browser, before viser compresses them."""
 
 MOVES: dict[str, Callable[[State, int], State]] = {
-    "camera": lambda s, k: replace(s, look=s.look._replace(fov=s.look.fov * (1.0 + 0.01 * k))),
+    "camera": lambda s, k: replace(s, look=_aside(s.look, 0.002 * k)),
     "light": lambda s, k: replace(s, light=replace(s.light, rotate=float(k))),
     "exposure": lambda s, k: replace(s, light=replace(s.light, stops=0.05 * k)),
     "lamp": lambda s, k: replace(s, light=replace(s.light, lamp=Lamp(azimuth=float(k)))),
     "expression": lambda s, k: replace(s, pose=Pose(k)),
 }
 """What a user moves, from picture to picture."""
+
+
+def _aside(look: Look, step: float) -> Look:
+    """The look from so many metres farther along the world's x."""
+    x, y, z = look.position
+    return look._replace(position=(x + step, y, z))
 
 
 def measure(device: torch.device, *, size: int) -> list[dict[str, object]]:

@@ -94,5 +94,9 @@ class AdaptiveInstanceNorm(nn.Module):
 
     def forward(self, features: Tensor, condition: Tensor) -> Tensor:
         """Apply to (1, C, H, W) features with a (D,) condition."""
+        return self.modulate(nn.functional.instance_norm(features), condition)
+
+    def modulate(self, normalised: Tensor, condition: Tensor) -> Tensor:
+        """The same of features that are normalised."""
         scale, shift = self.affine(condition).view(2, 1, -1, 1, 1)
-        return nn.functional.instance_norm(features) * (1.0 + scale) + shift
+        return normalised * (1.0 + scale) + shift

@@ -6,6 +6,7 @@ UV displacement, reference appearance and head parameters go in, a UV residual m
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor, nn
@@ -14,6 +15,7 @@ from samira_warp.nets.conditioning import AdaptiveInstanceNorm, Conditions
 from samira_warp.nets.fourier import fourier_channels, fourier_features
 from samira_warp.nets.modulation import RegionModulators
 from samira_warp.nets.resizing import resize
+from samira_warp.support.unchanged import WhileUnchanged
 
 RESIDUAL_CHANNELS = 6
 """Three of position o_mu and three of rotation o_r (Eq. offset_sample)."""
@@ -83,6 +85,7 @@ class MotionNetwork(nn.Module):
         """
         super().__init__()
         self.settings = settings
+        self._kept: WhileUnchanged[_Unconditioned] = WhileUnchanged()
         width = settings.width
         self.register_buffer(
             "reference", fourier_features(reference_positions[None], bands=settings.bands), persistent=False
@@ -127,8 +130,9 @@ class MotionNetwork(nn.Module):
         Returns:
             (6, H, W) residuals before their limits: o_mu, then o_r; (8, H, W) with wrinkles, slopes last.
         """
-        position = self.position(self.reference)
-        shared = self._shared_feature(position, conditions)
+        known = self._unconditioned()
+        position = self.position(self.reference) if known is None else known.position
+        shared = self._shared_feature(position, known, conditions)
         if self.settings.displacement:
             mapped = fourier_features(displacement[None], bands=self.settings.displacement_bands)
             displaced = self.displacement(mapped)
@@ -139,21 +143,57 @@ class MotionNetwork(nn.Module):
         residual = self.residual(decoded)[0]
         return residual if self.slopes is None else torch.cat([residual, self.slopes(decoded)[0]])
 
-    def _shared_feature(self, position: Tensor, conditions: Conditions) -> Tensor:
+    def _unconditioned(self) -> _Unconditioned | None:
+        """What is the same in all frames, kept while the weights are; None where gradients are asked for."""
+        if torch.is_grad_enabled():
+            return None
+        weights = (weight for part in (self.position, self.lateral) for weight in part.parameters())
+        images = (getattr(self, f"image_features_{level}") for level in range(len(self.lateral)))
+        return self._kept.get([*weights, *images, self.gates, self.reference], self._condition_nothing)
+
+    def _condition_nothing(self) -> _Unconditioned:
+        position = self.position(self.reference)
+        levels = range(len(self.lateral))
+        return _Unconditioned(position, [self._normalised_level(level, position) for level in levels])
+
+    def _shared_feature(
+        self, position: Tensor, known: _Unconditioned | None, conditions: Conditions
+    ) -> Tensor:
         """F_sh (Eqs. uv_gate to shared_uv_feature), from coarse to fine.
 
         Pose conditions the coarse level, expression the middle one, translation the fine one.
         """
         *finer, coarsest = range(len(self.lateral))
-        features = self._level_feature(coarsest, position, conditions)
+        features = self._level_feature(coarsest, position, known, conditions)
         fused = nn.functional.silu(self.fuse[coarsest](features))
         for level in reversed(finer):
-            features = self._level_feature(level, position, conditions)
+            features = self._level_feature(level, position, known, conditions)
             fused = nn.functional.silu(self.fuse[level](features + resize(fused, like=features)))
         return nn.functional.silu(self.shared(torch.cat([resize(fused, like=position), position], dim=1)))
 
-    def _level_feature(self, level: int, position: Tensor, conditions: Conditions) -> Tensor:
+    def _level_feature(
+        self, level: int, position: Tensor, known: _Unconditioned | None, conditions: Conditions
+    ) -> Tensor:
         """One level of the image's features, with the position let in and the condition applied."""
+        adain = self.adain[level]
+        assert isinstance(adain, AdaptiveInstanceNorm)
+        normalised = self._normalised_level(level, position) if known is None else known.levels[level]
+        return adain.modulate(normalised, conditions[level])
+
+    def _normalised_level(self, level: int, position: Tensor) -> Tensor:
+        """One level of the image's features, with the position let in, before the condition."""
         image = self.lateral[level](getattr(self, f"image_features_{level}"))
         injected = image + torch.sigmoid(self.gates[level]) * resize(position, like=image)
-        return self.adain[level](injected, conditions[level])
+        return nn.functional.instance_norm(injected)
+
+
+class _Unconditioned(NamedTuple):
+    """What the network makes of the head alone, before a frame's conditions.
+
+    Attributes:
+        position: (1, C, H, W) F_pos.
+        levels: (1, C, H_l, W_l) each, the image's features with the position let in, normalised.
+    """
+
+    position: Tensor
+    levels: list[Tensor]

@@ -188,7 +188,8 @@ def residual_prior(motion: Motion, valid: torch.Tensor) -> torch.Tensor:
         motion: With the residual's UV maps.
         valid: (H, W) texels of the atlas, over which the mean goes.
     """
-    position, rotation = motion.residual_position / POSITION_LIMIT, motion.residual_rotation / torch.pi
+    limited = motion.limited
+    position, rotation = limited.position / POSITION_LIMIT, limited.rotation / torch.pi
     squares = (position.square() + rotation.square()).mean(dim=-1)
     return (squares * valid).sum() / valid.sum()
 

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
-from samira_warp.avatar import Avatar, GBuffer, Rendering
+from samira_warp.avatar import Avatar, GBuffer, Motion, Rendering
 from samira_warp.avatar.gbuffer import blend_arrival
 from samira_warp.geometry.camera import Camera
 from samira_warp.head import FrameParameters
@@ -22,7 +22,7 @@ from samira_warp.stage.viewpoint import HeadPlace
 from samira_warp.support.tone_names import ToneMap
 from samira_warp.surface import LIGHT_CHANNELS
 from samira_warp.view.carried import Carrier
-from samira_warp.view.lights import Detail, Lights
+from samira_warp.view.lights import Detail, Lights, Lit
 from samira_warp.view.posing import Poser
 from samira_warp.view.splats import BrowserSplats, shaded_splats
 from samira_warp.view.stages import Stages
@@ -113,8 +113,7 @@ class Scene:
         motion = stages.motion.get(posed, lambda: avatar.move(self.shown.parameters(state.pose)))
         lit, arrival = self.lights.lit(avatar, light, detail=detail), None
         if self.casts_shadows(avatar, light):
-            occlusion = stages.occlusion.get(posed, lambda: avatar.occluder.occlude(motion.head))
-            arrival = avatar.arrival(occlusion, lit.filtered, camera)
+            arrival = _arrival(avatar, posed, motion, lit, camera, stages)
         return shaded_splats(
             avatar,
             motion,
@@ -170,8 +169,7 @@ class Scene:
 
             if not casts:
                 return unlit(stages.surface.get(seen, rasterized))
-            occlusion = stages.occlusion.get(posed, lambda: avatar.occluder.occlude(motion.head))
-            arrival = avatar.arrival(occlusion, lit.filtered, camera)
+            arrival = _arrival(avatar, posed, motion, lit, camera, stages)
             if stages.surface.holds(seen):
                 return blend_arrival(stages.surface.get(seen, rasterized), arrival)
             # what arrives is blended with the rest, in one pass
@@ -191,6 +189,18 @@ class Scene:
 
         key = (*seen, *turned, light.stops, casts, tone_map, state.background)
         return stages.rendering.get(key, shaded)
+
+
+def _arrival(
+    avatar: Avatar, posed: tuple[object, ...], motion: Motion, lit: Lit, camera: Camera, stages: Stages
+) -> torch.Tensor:
+    """`Avatar.arrival`, whose diffuse part a camera that moves leaves as it is, and whose glints a light."""
+    occluder = avatar.occluder
+    occlusion = stages.occlusion.get(posed, lambda: occluder.occlude(motion.head))
+    turned, seen_from = (*lit.key, lit.filtered.rotate), tuple(camera.center.tolist())
+    shares = stages.shares.get((occlusion, *turned), lambda: occluder.shares(occlusion, lit.filtered))
+    lobes = stages.lobes.get((occlusion, *seen_from), lambda: occluder.lobes(occlusion, camera))
+    return avatar.arrival_from(torch.cat([shares, lobes, occlusion.openness], dim=1))
 
 
 def unlit(surface: GBuffer) -> GBuffer:

@@ -6,6 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, Generic, TypeVar
 
+from torch import Tensor
+
 from samira_warp.avatar import GBuffer, Motion, Occlusion, Rendering
 from samira_warp.light.radiance_map import RadianceMap
 
@@ -42,6 +44,8 @@ class Stages:
     Attributes:
         motion: The moved Gaussians, by avatar and pose.
         occlusion: Which directions the head blocks, likewise.
+        shares: What of the diffuse light arrives, by what is blocked and the light as it is turned.
+        lobes: What of glints is open, by what is blocked and the place that they are seen from.
         surface: A G-buffer, by these, the camera and the materials, under any light.
         lit: The same under the light, by the light as it is turned, and whether it casts shadows.
         backdrop: What is seen of a light behind the head, by the light.
@@ -50,6 +54,8 @@ class Stages:
 
     motion: Kept[Motion] = field(default_factory=Kept)
     occlusion: Kept[Occlusion] = field(default_factory=Kept)
+    shares: Kept[Tensor] = field(default_factory=Kept)
+    lobes: Kept[Tensor] = field(default_factory=Kept)
     surface: Kept[GBuffer] = field(default_factory=Kept)
     lit: Kept[GBuffer] = field(default_factory=Kept)
     backdrop: Kept[RadianceMap | None] = field(default_factory=Kept)

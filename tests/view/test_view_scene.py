@@ -164,13 +164,15 @@ def test_another_size_is_another_picture(scene, start):
 
 def test_stages_that_nothing_touches_are_not_made_again(scene, start, monkeypatch):
     avatar, made = scene.shown.avatar, []
-    real = avatar.occluder.occlude
-    for name in ("move", "arrival", "rasterize", "shade"):
-        method = getattr(avatar, name)
-        monkeypatch.setattr(
-            avatar, name, lambda *a, _name=name, _method=method, **k: made.append(_name) or _method(*a, **k)
-        )
-    monkeypatch.setattr(avatar.occluder, "occlude", lambda head: made.append("occlude") or real(head))
+    of_each = {avatar: ("move", "rasterize", "shade"), avatar.occluder: ("occlude", "shares", "lobes")}
+    for owner, names in of_each.items():
+        for name in names:
+            method = getattr(owner, name)
+            monkeypatch.setattr(
+                owner,
+                name,
+                lambda *a, _name=name, _method=method, **k: made.append(_name) or _method(*a, **k),
+            )
     sides = Sides.new()
 
     def after(state):
@@ -179,13 +181,18 @@ def test_stages_that_nothing_touches_are_not_made_again(scene, start, monkeypatc
         return sorted(made)
 
     lit = replace(start, light=Light("day"))
-    assert after(lit) == ["arrival", "move", "occlude", "rasterize", "shade"]
+    assert after(lit) == ["lobes", "move", "occlude", "rasterize", "shade", "shares"]
     assert after(lit) == []
     assert after(replace(lit, layer="normal")) == []
     assert after(replace(lit, light=Light("day", stops=1.0))) == ["shade"]
-    assert after(replace(lit, light=Light("day", rotate=5.0))) == ["arrival", "shade"]
-    assert after(replace(lit, look=lit.look._replace(fov=30.0))) == ["arrival", "rasterize", "shade"]
-    assert after(replace(lit, pose=Pose(1))) == ["arrival", "move", "occlude", "rasterize", "shade"]
+    turned = replace(lit, light=Light("day", rotate=5.0))
+    assert after(turned) == ["shade", "shares"]
+    zoomed = replace(turned, look=lit.look._replace(fov=30.0))
+    assert after(zoomed) == ["rasterize", "shade"]
+    x, y, z = lit.look.position
+    aside = replace(turned, look=lit.look._replace(position=(x + 0.1, y, z)))
+    assert after(aside) == ["lobes", "rasterize", "shade"]
+    assert after(replace(aside, pose=Pose(1))) == ["lobes", "move", "occlude", "rasterize", "shade", "shares"]
 
 
 def test_two_browsers_do_not_see_each_others_choices(scene, start, fresh):

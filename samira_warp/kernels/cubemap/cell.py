@@ -22,8 +22,18 @@ else:
 @wp.func
 def read_cell(texels: wp.array[wp.vec3], first: wp.int32, cell: Footprint, size: wp.int32) -> Quad:
     """A cell's texels; where three faces meet, the missing one is the mean of the others."""
-    taps = cell_texels(cell, size)
     result = Quad()
+
+    # most cells lie within a face, where nothing has to be looked for
+    if cell.column >= 0 and cell.row >= 0 and cell.column < size - 1 and cell.row < size - 1:
+        corner = first + (cell.face * size + cell.row) * size + cell.column
+        result[0] = texels[corner]
+        result[1] = texels[corner + 1]
+        result[2] = texels[corner + size]
+        result[3] = texels[corner + size + 1]
+        return result
+
+    taps = cell_texels(cell, size)
     total = wp.vec3()
     for k in range(4):
         if taps[k] >= 0:
