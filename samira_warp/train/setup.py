@@ -31,8 +31,8 @@ SHORT_RUN_OPACITY = 0.5
 """In short runs: a head at 0.1 starts transparent, and white leaks through it for hundreds of steps."""
 
 PIXEL_CACHE_BYTES = 1 << 28
-"""Decoded training frames kept in memory: some 1,200 of 256 x 256, or 300 of 512 x 512, and what fits of a
-longer sequence."""
+"""Decoded training frames kept in memory: some 1,200 of 256 x 256, or a fourth as many of 512 x 512, and what
+fits of a longer sequence."""
 
 
 class Start(NamedTuple):
