@@ -42,6 +42,7 @@ def test_shares_of_a_motion_have_their_closed_form(tool, generator):
     # half of it leaves half of it: a quarter of the energy
     half = tool.agreement(truth, 0.5 * truth)
     assert half["recovered, %"] == pytest.approx(75.0, abs=1e-3)
+    assert half["followed, %"] == pytest.approx(50.0, abs=1e-3)
     assert half["residual, mm"] == pytest.approx(0.5 * half["true, mm"])
     nothing = tool.agreement(truth, torch.zeros_like(truth))
     assert (nothing["recovered, %"], nothing["correlation"]) == (0.0, 0.0)
@@ -50,6 +51,7 @@ def test_shares_of_a_motion_have_their_closed_form(tool, generator):
     flat = tool.agreement(truth * torch.tensor([0.0, 1.0, 1.0]), truth)
     assert (flat["sideways, %"], flat["upward, %"]) == ("none", 100.0)
     wrong = tool.agreement(truth, -truth)
+    assert wrong["followed, %"] == pytest.approx(-100.0, abs=1e-3)
     assert wrong["recovered, %"] == pytest.approx(-300.0, abs=1e-3)
 
 
@@ -63,6 +65,22 @@ def test_rows_of_an_avatar_that_was_not_shown_any(tool, built_in_run, data, caps
     assert 1.0 < rows["scalp"]["true, mm"] < 11.0
     assert abs(rows["all"]["recovered, %"]) < 10.0
     assert 10.0 < rows["all"]["moving pixels, dB"] < 40.0
+
+
+def test_training_frames_are_compared_when_they_are_asked_for(tool, built_in_run, data, capsys):
+    told = []
+    for split in ("test", "train"):
+        arguments = ["--avatar", str(built_in_run), "--data", str(data), "--resolution", "64", "--json"]
+        capsys.readouterr()
+        status = tool.run(
+            tool.main,
+            tool.MotionTableConfig,
+            program="motion_table",
+            arguments=[*arguments, "--split", split],
+        )
+        assert status == 0
+        told.append({row["region"]: row["true, mm"] for row in json.loads(capsys.readouterr().out)})
+    assert told[0]["all"] != told[1]["all"]
 
 
 def test_a_residual_that_is_the_truth_recovers_all_in_either_axes(tool, built_in_run, data):

@@ -43,7 +43,8 @@ class SharedLight:
         self._light = light
         self._filtered: _Filtered | None = None
         self.frames = 0
-        size = sum(values.numel() for values in _maps(self.light()))
+        with torch.no_grad():
+            size = sum(values.numel() for values in _maps(light()))
         self.gradient = torch.zeros(size, device=light.specular.device)
 
     def light(self) -> FilteredLight:

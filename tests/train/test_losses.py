@@ -7,6 +7,7 @@ from scipy.ndimage import gaussian_filter
 from skimage.metrics import structural_similarity
 from subjects import SMALL_LIGHT, camera, parameters, small_avatar
 
+from samira_warp.avatar.residual import LimitedResidual, limit_residual
 from samira_warp.kernels.gathering.gather import GatherTable
 from samira_warp.light import decode_srgb
 from samira_warp.train.losses import (
@@ -57,10 +58,10 @@ def scene(device, generator):
         normal=torch.nn.functional.normalize(draw(SIZE, SIZE, 3), dim=-1),
         alpha=draw(SIZE, SIZE, 1),
     )
+    limited = LimitedResidual(0.02 * (draw(4, 4, 3) - 0.5), draw(4, 4, 3) - 0.5, draw(4, 4, 2) - 0.5)
     motion = SimpleNamespace(
-        residual_position=0.02 * (draw(4, 4, 3) - 0.5),
-        residual_rotation=draw(4, 4, 3) - 0.5,
-        slopes=draw(4, 4, 2) - 0.5,
+        limited=limited,
+        slopes=limited.slopes,
         normals=2 * draw(COUNT, 3) + 0.1,
     )
     rendering = SimpleNamespace(image=draw(SIZE, SIZE, 3), gbuffer=gbuffer, motion=motion)
@@ -133,8 +134,8 @@ def test_every_term_has_its_closed_form(scene):
         "normal_prior": 0.1 * (1 - cosine).mean(),
         "light": 2e-3 * np.mean([np.log(values).var() for values in map(numpy_of, avatar.light.radiance())]),
         "materials": 0.02 * (off**2).mean() + 0.1 * (contrast_of(off) ** 2).mean(),
-        "residual": 0.1 * (numpy_of(rendering.motion.residual_position / 0.02)[valid] ** 2).mean()
-        + 0.1 * (numpy_of(rendering.motion.residual_rotation / np.pi)[valid] ** 2).mean(),
+        "residual": 0.1 * (numpy_of(rendering.motion.limited.position / 0.02)[valid] ** 2).mean()
+        + 0.1 * (numpy_of(rendering.motion.limited.rotation / np.pi)[valid] ** 2).mean(),
         "wrinkles": 0.05 * (numpy_of(rendering.motion.slopes)[valid] ** 2).mean(),
         "response": 1e-3 * (numpy_of(avatar.response_logits) ** 2).mean(),
     }
@@ -181,10 +182,7 @@ def test_a_perfect_image_costs_nothing(scene):
     avatar.light.radiance = lambda: (torch.full((6, 4, 4, 3), 0.7),)
     avatar.gaussians.roughness = known.materials.roughness.repeat_interleave(2)
     avatar.gaussians.specular = known.materials.specular.repeat_interleave(2)
-    rendering.motion.residual_position, rendering.motion.residual_rotation = (
-        torch.zeros(4, 4, 3),
-        torch.zeros(4, 4, 3),
-    )
+    rendering.motion.limited = limit_residual(torch.zeros(4, 4, 8))
     terms = total_loss(rendering, target, avatar, WEIGHTS, known, stage_two=False, perceptual=None)
     assert set(terms) == {"l1", "ssim", "mask", "albedo", "residual", "materials", "light"}
     assert float(sum(terms.values())) == pytest.approx(0.0, abs=1e-6)

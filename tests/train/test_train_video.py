@@ -8,8 +8,8 @@ from data.tiny import make_tiny_dataset
 from subjects import STEPS, train_arguments, train_command
 
 from samira_warp.avatar import Avatar
+from samira_warp.prepare import run as prepare_run
 from samira_warp.support.errors import UserError
-from samira_warp.train import source
 
 
 @pytest.fixture
@@ -38,7 +38,7 @@ class StandIn:
 @pytest.fixture
 def preparing(monkeypatch):
     stand_in = StandIn()
-    monkeypatch.setattr(source, "prepare", stand_in)
+    monkeypatch.setattr(prepare_run, "prepare", stand_in)
     return stand_in
 
 
